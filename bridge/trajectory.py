@@ -1,0 +1,106 @@
+"""The type that a servo chain performs: joint positions over time, with names."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robots.errors import LimitViolation, MotionFileError
+from robots.files import read_archive, write_archive
+from robots.skeleton import FloatArray, read_only
+
+SCHEMA = "pasdedeux.trajectory/1"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointTrajectory:
+    """Joint positions of one robot over time.
+
+    Raises:
+        LimitViolation: Times do not start at 0 and increase, shapes differ, or a number is not
+            finite. Joint limits are checked against a robot where one is at hand.
+    """
+
+    times: FloatArray
+    """``[N]`` s, strictly increasing from 0. Both robots of a duet share one clock."""
+    position: FloatArray
+    """``[N, D]`` rad (m for sliding joints)."""
+    joint_names: tuple[str, ...]
+    """Names of the D columns, as in the robot's ``robot.toml``."""
+    robot: str
+    """Name of the robot it was made for."""
+    metadata: dict[str, Any] = field(default_factory=dict)
+    """Plain JSON: person (``a`` or ``b``), text, licence, ``slowed_by``, hashes of the inputs."""
+
+    def __post_init__(self) -> None:
+        """Validate and freeze."""
+        times, position = np.asarray(self.times), np.asarray(self.position)
+        if times.ndim != 1 or len(times) < 2:
+            raise LimitViolation("a trajectory needs at least two moments")
+        if position.shape != (len(times), len(self.joint_names)):
+            raise LimitViolation(
+                f"positions have shape {position.shape}",
+                allowed=f"({len(times)}, {len(self.joint_names)})",
+            )
+        if len(set(self.joint_names)) != len(self.joint_names):
+            raise LimitViolation("two columns carry the same joint name")
+        if not np.isfinite(times).all() or times[0] != 0 or (np.diff(times) <= 0).any():
+            raise LimitViolation("times must start at 0 and strictly increase")
+        bad = np.argwhere(~np.isfinite(position))
+        if len(bad):
+            row, column = bad[0]
+            raise LimitViolation(
+                f"position is not finite at {times[row]:.3f} s", where=self.joint_names[column]
+            )
+        object.__setattr__(self, "times", read_only(times))
+        object.__setattr__(self, "position", read_only(position))
+
+    @property
+    def duration(self) -> float:
+        """Last moment, s."""
+        return float(self.times[-1])
+
+    def at(self, time: float) -> FloatArray:
+        """Return the positions ``[D]`` at ``time`` s, linear between samples, held at the ends."""
+        i = int(np.clip(np.searchsorted(self.times, time, side="right"), 1, len(self.times) - 1))
+        t0, t1 = self.times[i - 1], self.times[i]
+        u = float(np.clip((time - t0) / (t1 - t0), 0.0, 1.0))
+        return self.position[i - 1] * (1 - u) + self.position[i] * u
+
+    def save(self, path: str | Path) -> None:
+        """Write as npz with a JSON header."""
+        header = {
+            "schema": SCHEMA,
+            "robot": self.robot,
+            "joint_names": list(self.joint_names),
+            "metadata": self.metadata,
+        }
+        write_archive(path, header, {"times": self.times, "position": self.position})
+
+    @classmethod
+    def load(cls, path: str | Path) -> JointTrajectory:
+        """Read what :meth:`save` wrote.
+
+        Raises:
+            MotionFileError: The file is not such a trajectory.
+        """
+        header, arrays = read_archive(path)
+        if header is None or header.get("schema") != SCHEMA:
+            raise MotionFileError(
+                "this is not a joint trajectory", where=str(path), hint="make one with 'retarget'"
+            )
+        try:
+            return cls(
+                arrays["times"],
+                arrays["position"],
+                tuple(str(name) for name in header["joint_names"]),
+                str(header["robot"]),
+                dict(header["metadata"]),
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise MotionFileError(f"incomplete trajectory: {error!r}", where=str(path)) from error
+        except LimitViolation as error:
+            raise MotionFileError(str(error), where=str(path)) from error

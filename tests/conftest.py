@@ -1,0 +1,20 @@
+"""Fixtures that several packages' tests share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def duets() -> Path:
+    """Folder of real motion-capture clips that lies beside a development checkout.
+
+    The clips are not part of the project (their licence forbids reselling them); tests that need
+    them are skipped where they are not there.
+    """
+    folder = Path(__file__).parents[2] / "shared" / "duets"
+    if not folder.is_dir():
+        pytest.skip(f"no motion-capture clips at {folder}")
+    return folder
