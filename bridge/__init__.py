@@ -1,0 +1,1 @@
+"""Onto metal: retargeting, limits, Dynamixel buses, the player and the command line."""

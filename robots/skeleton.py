@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
@@ -74,7 +75,7 @@ class Skeleton:
                 f"no keypoint '{name}'", allowed=", ".join(self.names), hint=nearest(name, self)
             ) from None
 
-    def __iter__(self):  # noqa: ANN204 - Iterator[str]
+    def __iter__(self) -> Iterator[str]:
         """Iterate over the names."""
         return iter(self.names)
 

@@ -1,0 +1,1 @@
+"""Two humanoids in MuJoCo: tracking, contact, plausibility, pictures."""
