@@ -1,0 +1,65 @@
+# Needs Python >= 3.11, make and git; uses uv where it is installed. Everything lands in .venv.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+SENTENCE ?= two people shake hands
+# Two dancers, two cores: more threads than that only get in each other's way.
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
+.PHONY: help demo test test-fast check format bench clean
+
+help:
+	@echo "make demo       install, then turn a sentence into two moving puppets (out/)"
+	@echo "make test       install the test tools, then run all tests"
+	@echo "make test-fast  the same without the slow ones"
+	@echo "make check      formatting, lint, types, package borders"
+	@echo "make bench      benchmarks, one figure each"
+	@echo "make clean      remove .venv and everything built"
+
+demo: $(VENV)/.installed
+	$(BIN)/pasdedeux run "$(SENTENCE)"
+
+test: $(VENV)/.installed-dev
+	$(BIN)/pytest
+
+test-fast: $(VENV)/.installed-dev
+	$(BIN)/pytest -m "not slow"
+
+check: $(VENV)/.installed-dev
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/pyright
+	$(BIN)/lint-imports
+
+format: $(VENV)/.installed-dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(VENV)/.installed-dev
+	@for file in benchmarks/*.py; do $(BIN)/python $$file || exit 1; done
+
+clean:
+	rm -rf $(VENV) build dist out .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+
+$(VENV)/.python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "pasdedeux needs Python 3.11 or newer: make PYTHON=/path/to/python3.11 ..."; exit 1; }
+	@if command -v uv >/dev/null 2>&1; then uv venv --quiet --python $(PYTHON) $(VENV); \
+	 else $(PYTHON) -m venv $(VENV) || \
+	  { echo "python -m venv failed (Debian: apt-get install python3-venv)"; exit 1; }; fi
+	@touch $@
+
+$(VENV)/.installed: $(VENV)/.python pyproject.toml constraints.txt
+	@echo "installing into $(VENV) (a minute or two) ..."
+	@if command -v uv >/dev/null 2>&1; \
+	 then VIRTUAL_ENV=$(VENV) uv pip install --quiet -c constraints.txt -e '.[view]'; \
+	 else $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[view]'; fi
+	@touch $@
+
+$(VENV)/.installed-dev: $(VENV)/.installed
+	@echo "installing the test tools ..."
+	@if command -v uv >/dev/null 2>&1; \
+	 then VIRTUAL_ENV=$(VENV) uv pip install --quiet -c constraints.txt -e '.[view,dev]'; \
+	 else $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[view,dev]'; fi
+	@touch $@
