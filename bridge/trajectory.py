@@ -34,6 +34,9 @@ class JointTrajectory:
     """Name of the robot it was made for."""
     metadata: dict[str, Any] = field(default_factory=dict)
     """Plain JSON: person (``a`` or ``b``), text, licence, ``slowed_by``, hashes of the inputs."""
+    base: FloatArray | None = None
+    """``[N, 7]`` m and wxyz: where the robot's base is meant to be on the stage that both robots
+    share. Nothing commands it; pictures and reports need it. ``None`` if unknown."""
 
     def __post_init__(self) -> None:
         """Validate and freeze."""
@@ -57,6 +60,14 @@ class JointTrajectory:
             )
         object.__setattr__(self, "times", read_only(times))
         object.__setattr__(self, "position", read_only(position))
+        if self.base is not None:
+            base = np.asarray(self.base)
+            if base.shape != (len(times), 7) or not np.isfinite(base).all():
+                raise LimitViolation(
+                    f"base poses have shape {base.shape} or are not finite",
+                    allowed=f"({len(times)}, 7)",
+                )
+            object.__setattr__(self, "base", read_only(base))
 
     @property
     def duration(self) -> float:
@@ -78,7 +89,10 @@ class JointTrajectory:
             "joint_names": list(self.joint_names),
             "metadata": self.metadata,
         }
-        write_archive(path, header, {"times": self.times, "position": self.position})
+        arrays = {"times": self.times, "position": self.position}
+        if self.base is not None:
+            arrays["base"] = self.base
+        write_archive(path, header, arrays)
 
     @classmethod
     def load(cls, path: str | Path) -> JointTrajectory:
@@ -99,6 +113,7 @@ class JointTrajectory:
                 tuple(str(name) for name in header["joint_names"]),
                 str(header["robot"]),
                 dict(header["metadata"]),
+                arrays.get("base"),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise MotionFileError(f"incomplete trajectory: {error!r}", where=str(path)) from error
