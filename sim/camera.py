@@ -64,3 +64,10 @@ def follow(
     tangent = np.tan(np.radians(fovy / 2))
     distance = 1.12 * max(high / tangent, wide / (tangent * aspect)) + 0.6 * near
     return CameraPath(centre, float(azimuth), elevation, float(distance))
+
+
+def still(
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0), *, distance: float = 3.0
+) -> CameraPath:
+    """Return a camera that stands still for one moment."""
+    return CameraPath(np.array([centre]), 90.0, -12.0, distance)

@@ -1,0 +1,130 @@
+"""Pictures and videos, drawn for real with whatever offscreen OpenGL is here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from robots.errors import MotionFileError, RenderError
+from sim.gl import choose_backend
+
+choose_backend()
+
+import mujoco  # noqa: E402 - the choice of OpenGL comes before MuJoCo's import
+
+from sim.camera import follow, still  # noqa: E402
+from sim.clip import Clip  # noqa: E402
+from sim.render import PERSON_COLOURS, Painter, colour_people, dress  # noqa: E402
+from sim.video import write_picture, write_video  # noqa: E402
+
+PILLARS = """<mujoco><worldbody><geom name="floor" type="plane" size="9 9 .1"/>
+  <body name="a/trunk" pos="-.6 0 .8"><freejoint/><geom type="capsule" size=".15 .6"/></body>
+  <body name="b/trunk" pos=".6 0 .8"><freejoint/><geom type="capsule" size=".15 .6"/></body>
+</worldbody></mujoco>"""
+
+
+@pytest.fixture(scope="module")
+def clip() -> Clip:
+    spec = colour_people(dress(mujoco.MjSpec.from_string(PILLARS), width=96, height=96))
+    model = spec.compile()
+    qpos = np.tile(model.qpos0, (20, 1))
+    qpos[:, 1] += np.linspace(0, 0.4, 20)
+    return Clip(model, qpos, 20.0)
+
+
+@pytest.fixture
+def painter(clip: Clip):
+    try:
+        with Painter(clip.model, width=96, height=96) as opened:
+            yield opened
+    except RenderError as error:
+        pytest.skip(f"no offscreen OpenGL here: {error}")
+
+
+def pixels_like(frame: np.ndarray, colour: tuple[float, ...]) -> np.ndarray:
+    """Columns of the pixels whose hue is that of a colour."""
+    hue = frame - frame.mean(axis=-1, keepdims=True)
+    wanted = np.array(colour[:3]) - np.mean(colour[:3])
+    cosine = hue @ wanted / (np.linalg.norm(hue, axis=-1) * np.linalg.norm(wanted) + 1e-9)
+    return np.nonzero((cosine > 0.9) & (np.linalg.norm(hue, axis=-1) > 40))[1]
+
+
+@pytest.mark.gl
+def test_person_a_stands_left_and_b_right_and_both_are_seen(clip: Clip, painter: Painter) -> None:
+    frame = painter.paint(clip.qpos[0], clip.camera(aspect=1.0), 0)
+    a, b = (pixels_like(frame, colour) for colour in PERSON_COLOURS)
+    assert len(a) > 100
+    assert len(b) > 100
+    assert a.max() < b.min()
+    assert a.min() > 2
+    assert b.max() < 93
+
+
+@pytest.mark.gl
+def test_video_has_every_frame_at_the_stated_rate(
+    clip: Clip, painter: Painter, tmp_path: Path
+) -> None:
+    path = tmp_path / "video.mp4"
+    count = write_video(path, painter.film(clip.qpos, clip.camera(aspect=1.0)), clip.fps)
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
+        assert stream.average_rate == 20
+        assert stream.codec_context.pix_fmt == "yuv420p"
+    assert count == len(frames) == len(clip.qpos)
+    assert np.abs(frames[0].astype(int) - frames[-1]).max() > 50
+
+
+@pytest.mark.gl
+def test_picture_is_the_frame_to_the_last_bit(clip: Clip, painter: Painter, tmp_path: Path) -> None:
+    frame = painter.paint(clip.qpos[3], clip.camera(aspect=1.0), 3)
+    write_picture(tmp_path / "p.png", frame)
+    with av.open(str(tmp_path / "p.png")) as container:
+        (read,) = container.decode(video=0)
+    assert np.array_equal(read.to_ndarray(format="rgb24"), frame)
+
+
+def test_a_video_that_fails_leaves_no_file(tmp_path: Path) -> None:
+    with pytest.raises(RenderError, match="at least one frame"):
+        write_video(tmp_path / "video.mp4", iter(()), 30)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_video_into_a_forbidden_place_says_so(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(MotionFileError, match="cannot be written"):
+        write_video(tmp_path / "file" / "video.mp4", iter(()), 30)
+
+
+def test_camera_keeps_walkers_in_view_however_far_they_go() -> None:
+    t = np.linspace(0, 8, 240)
+    path = np.stack([1.2 * t, 0 * t, 0 * t], axis=-1)[:, None]
+    corners = np.array([[-0.3, -0.3, 0], [0.3, 0.3, 1.8]])
+    a, b = path + corners, path + corners + [0.0, -1.0, 0.0]
+    camera = follow(a, b, fps=30, aspect=1.0, fovy=45.0)
+    heading, pitch = np.radians(camera.azimuth), np.radians(camera.elevation)
+    sight = np.array(
+        [np.cos(pitch) * np.cos(heading), np.cos(pitch) * np.sin(heading), np.sin(pitch)]
+    )
+    right = np.array([np.sin(heading), -np.cos(heading), 0])
+    up = np.cross(right, sight)
+    seen = np.concatenate([a, b], axis=1) - (camera.centre - camera.distance * sight)[:, None]
+    depth = seen @ sight
+    reach = np.tan(np.radians(45 / 2))
+    assert (np.abs(seen @ right) < depth * reach).all()
+    assert (np.abs(seen @ up) < depth * reach).all()
+    assert np.linalg.norm(np.diff(camera.centre, axis=0), axis=1).max() * 30 < 1.5
+
+
+def test_clip_changes_rate_without_losing_its_ends(clip: Clip) -> None:
+    slow = clip.at_rate(10)
+    assert len(slow.qpos) == 10
+    assert np.array_equal(slow.qpos[0], clip.qpos[0])
+    assert np.array_equal(slow.qpos[-1], clip.qpos[18])
+
+
+def test_still_camera_has_one_moment() -> None:
+    assert still().centre.shape == (1, 3)
