@@ -1,0 +1,311 @@
+"""A virtual Dynamixel bus: bytes in, timed bytes out.
+
+**The problem.** To prove a player without hardware, the other end must be what a real client cannot
+tell from servos: every instruction, every status rule, the timing of a half-duplex wire. And to be
+of use in tests it must be deterministic and know neither threads nor sockets. So the core is one
+pure call::
+
+    feed(now, bytes)  ->  [(due, bytes), ...]
+
+``now`` is when the last byte arrived, ``due`` when the last byte of the answer has arrived at the
+host. Front ends (:mod:`bridge.virtual.pty`, :mod:`bridge.virtual.serial`) add the transport.
+
+Timing, if a baud rate is set: ten bits per byte both ways, then Return Delay Time before each
+status. Example at 1 Mbit/s with no delay: a ping (10 bytes) fed at 0 is heard at 0.10 ms and its
+answer (14 bytes) is due at 0.24 ms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from bridge import packets
+from bridge.packets import Packet, Parser
+from bridge.registers import BAUD_RATES, RETURN_DELAY_UNIT
+from bridge.virtual.faults import FaultPlan
+from bridge.virtual.servo import VirtualServo
+
+SILENCE = 0.05
+"""Silence after which half a packet is forgotten, s."""
+ABSENT_WAIT = 0.0005
+"""How long the servos behind an absent one wait for it in a sync read, s."""
+CLEAR_KEY = b"\x01\x44\x58\x4c\x22"
+"""Parameters of the one Clear that exists: the multi-turn position."""
+
+Timed = list[tuple[float, bytes]]
+
+
+class VirtualBus:
+    """Servos on one wire."""
+
+    def __init__(
+        self,
+        servos: Iterable[VirtualServo],
+        *,
+        baud: int | None = None,
+        faults: FaultPlan | None = None,
+    ) -> None:
+        """Connect servos.
+
+        Args:
+            servos: In any order. Two with the same id both answer, as on a real bus.
+            baud: bit/s for the wire's timing; ``None`` for an infinitely fast wire.
+            faults: What goes wrong.
+        """
+        self.servos = list(servos)
+        self.baud = baud
+        self.faults = faults or FaultPlan()
+        self.instructions = 0
+        """Instruction packets understood so far."""
+        self._parser = Parser()
+        self._heard = 0.0
+        self._free = 0.0
+        self._line_baud: int | None = None
+        self._handlers: dict[int, Callable[[float, Packet], Timed]] = {
+            packets.PING: self._ping,
+            packets.ACTION: self._action,
+            packets.SYNC_READ: self._sync_read,
+            packets.FAST_SYNC_READ: self._sync_read,
+            packets.SYNC_WRITE: self._sync_write,
+            packets.BULK_READ: self._bulk_read,
+            packets.FAST_BULK_READ: self._bulk_read,
+            packets.BULK_WRITE: self._bulk_write,
+        }
+
+    def servo(self, servo_id: int) -> VirtualServo:
+        """Return the servo with an id.
+
+        Raises:
+            KeyError: There is none.
+        """
+        for servo in self.servos:
+            if servo.id == servo_id:
+                return servo
+        raise KeyError(servo_id)
+
+    def advance(self, now: float) -> None:
+        """Let time pass for all servos and faults."""
+        for servo_id, bit in self.faults.hardware(now):
+            for servo in self.servos:
+                if servo_id in (None, servo.id):
+                    servo.trip(bit)
+        for servo in self.servos:
+            servo.advance(now)
+
+    def feed(self, now: float, data: bytes, *, baud: int | None = None) -> Timed:
+        """Take bytes that reached the wire and return the answers with their times.
+
+        Args:
+            now: s, any clock that never runs backwards.
+            data: The bytes.
+            baud: Rate the client sends at: servos set to another rate hear nothing. ``None`` if the
+                transport has no rate.
+        """
+        if self._parser.pending and now - self._heard > SILENCE:
+            self._parser.reset()
+        self._heard = now
+        self._line_baud = baud
+        answers: Timed = []
+        for packet in self._parser.feed(data):
+            if packet.code == packets.STATUS or self.faults.deaf(now):
+                continue
+            heard = max(now, self._free) + self._duration(packet.size)
+            self._free = heard
+            self.advance(now)
+            self.instructions += 1
+            for servo in self._listening(now):
+                servo.hear(now)
+            answers += self._handlers.get(packet.code, self._single)(now, packet)
+        return answers
+
+    # -- who hears, who answers, when -------------------------------------------------------------
+
+    def _duration(self, size: int) -> float:
+        return size * 10 / self.baud if self.baud else 0.0
+
+    def _listening(self, now: float) -> list[VirtualServo]:
+        return [
+            servo
+            for servo in self.servos
+            if now >= servo.boots_at
+            and not self.faults.silent(now, servo.id)
+            and self._line_baud in (None, BAUD_RATES[servo.memory.get("baud_rate")])
+        ]
+
+    def _addressed(self, now: float, servo_id: int) -> list[VirtualServo]:
+        return [
+            servo
+            for servo in self._listening(now)
+            if servo_id == packets.BROADCAST or servo.answers_to(servo_id)
+        ]
+
+    def _status(
+        self, now: float, servo: VirtualServo, error: int, data: bytes = b"", *, answer_as: int = -1
+    ) -> Timed:
+        """Return the timed status packet of one servo."""
+        servo_id = servo.id if answer_as < 0 else answer_as
+        packet = packets.status(servo_id, error | servo.alert, data)
+        delay = servo.memory.get("return_delay_time") * RETURN_DELAY_UNIT
+        self._free = max(self._free, now) + delay + self._duration(len(packet))
+        spoilt = self.faults.spoil(now, servo.id, packet)
+        return [(self._free, spoilt)] if spoilt else []
+
+    # -- instructions -----------------------------------------------------------------------------
+
+    def _ping(self, now: float, packet: Packet) -> Timed:
+        answers: Timed = []
+        broadcast = packet.servo_id == packets.BROADCAST
+        for servo in sorted(self._addressed(now, packet.servo_id), key=lambda servo: servo.id):
+            number = servo.memory.get("model_number").to_bytes(2, "little")
+            data = number + bytes((servo.memory.get("firmware_version"),))
+            answer_as = -1 if broadcast else packet.servo_id
+            answers += self._status(now, servo, 0, data, answer_as=answer_as)
+        return answers
+
+    def _action(self, now: float, packet: Packet) -> Timed:
+        return self._each(now, packet, lambda servo: (servo.action(), b""), level=2)
+
+    def _single(self, now: float, packet: Packet) -> Timed:
+        """Carry out an instruction for one servo (or, without answers, for all)."""
+        params = packet.params
+        level = 2
+        if packet.code == packets.READ:
+            level = 1
+
+            def act(servo: VirtualServo) -> tuple[int, bytes]:
+                if len(params) != 4:
+                    return packets.ERROR_LENGTH, b""
+                return servo.read(_word(params, 0), _word(params, 2))
+        elif packet.code in (packets.WRITE, packets.REG_WRITE):
+
+            def act(servo: VirtualServo) -> tuple[int, bytes]:
+                if len(params) < 3:
+                    return packets.ERROR_LENGTH, b""
+                write = servo.write if packet.code == packets.WRITE else servo.register_write
+                return write(_word(params, 0), params[2:]), b""
+        elif packet.code == packets.REBOOT:
+
+            def act(servo: VirtualServo) -> tuple[int, bytes]:
+                servo.reboot(now)
+                return 0, b""
+        elif packet.code == packets.FACTORY_RESET:
+
+            def act(servo: VirtualServo) -> tuple[int, bytes]:
+                if len(params) != 1 or (packet.servo_id == packets.BROADCAST and params[0] == 0xFF):
+                    return packets.ERROR_RANGE, b""
+                return servo.factory_reset(params[0], now), b""
+        elif packet.code == packets.CLEAR:
+
+            def act(servo: VirtualServo) -> tuple[int, bytes]:
+                if params != CLEAR_KEY:
+                    return packets.ERROR_RANGE, b""
+                return servo.clear_turns(), b""
+        else:
+
+            def act(servo: VirtualServo) -> tuple[int, bytes]:
+                return packets.ERROR_INSTRUCTION, b""
+
+        return self._each(now, packet, act, level=level)
+
+    def _each(
+        self,
+        now: float,
+        packet: Packet,
+        act: Callable[[VirtualServo], tuple[int, bytes]],
+        *,
+        level: int,
+    ) -> Timed:
+        """Act on every addressed servo; answer if its Status Return Level is ``level`` or more."""
+        answers: Timed = []
+        for servo in self._addressed(now, packet.servo_id):
+            answering = servo.memory.get("status_return_level") >= level
+            error, data = act(servo)
+            if answering and packet.servo_id != packets.BROADCAST:
+                answers += self._status(now, servo, error, data, answer_as=packet.servo_id)
+        return answers
+
+    def _sync_read(self, now: float, packet: Packet) -> Timed:
+        params = packet.params
+        if packet.servo_id != packets.BROADCAST or len(params) < 5:
+            return []
+        address, length = _word(params, 0), _word(params, 2)
+        requests = [(servo_id, address, length) for servo_id in params[4:]]
+        return self._read_many(now, requests, fast=packet.code == packets.FAST_SYNC_READ)
+
+    def _bulk_read(self, now: float, packet: Packet) -> Timed:
+        params = packet.params
+        if packet.servo_id != packets.BROADCAST or not params or len(params) % 5:
+            return []
+        requests = [
+            (params[at], _word(params, at + 1), _word(params, at + 3))
+            for at in range(0, len(params), 5)
+        ]
+        return self._read_many(now, requests, fast=packet.code == packets.FAST_BULK_READ)
+
+    def _read_many(self, now: float, requests: list[tuple[int, int, int]], *, fast: bool) -> Timed:
+        listening = self._listening(now)
+        if fast:
+            return self._read_fast(now, requests, listening)
+        answers: Timed = []
+        for servo_id, address, length in requests:
+            present = [servo for servo in listening if servo.id == servo_id]
+            if not present:
+                self._free += ABSENT_WAIT
+            for servo in present:
+                if servo.memory.get("status_return_level") >= 1:
+                    error, data = servo.read(address, length)
+                    answers += self._status(now, servo, error, data)
+        return answers
+
+    def _read_fast(
+        self, now: float, requests: list[tuple[int, int, int]], listening: list[VirtualServo]
+    ) -> Timed:
+        """Answer with one chained packet; it breaks off at the first servo that is not there."""
+        entries: list[tuple[int, int, bytes]] = []
+        delay = 0.0
+        whole = True
+        for servo_id, address, length in requests:
+            servo = next((servo for servo in listening if servo.id == servo_id), None)
+            if servo is None:
+                whole = False
+                break
+            delay = max(delay, servo.memory.get("return_delay_time") * RETURN_DELAY_UNIT)
+            error, data = servo.read(address, length)
+            entries.append((error | servo.alert, servo_id, data))
+        missing = len(requests) - len(entries)
+        filler = [(0, 0, bytes(requests[-1][2]))] * missing
+        pieces = packets.fast_status(entries + filler)[: 1 + len(entries)]
+        packet = b"".join(pieces) if whole or entries else b""
+        self._free = max(self._free, now) + delay + self._duration(len(packet))
+        packet = self.faults.spoil(now, packets.BROADCAST, packet) if packet else packet
+        return [(self._free, packet)] if packet else []
+
+    def _sync_write(self, now: float, packet: Packet) -> Timed:
+        params = packet.params
+        if packet.servo_id != packets.BROADCAST or len(params) < 4:
+            return []
+        address, length = _word(params, 0), _word(params, 2)
+        if (len(params) - 4) % (length + 1):
+            return []
+        listening = self._listening(now)
+        for at in range(4, len(params), length + 1):
+            for servo in listening:
+                if servo.id == params[at]:
+                    servo.write(address, params[at + 1 : at + 1 + length])
+        return []
+
+    def _bulk_write(self, now: float, packet: Packet) -> Timed:
+        params, at = packet.params, 0
+        listening = self._listening(now)
+        while packet.servo_id == packets.BROADCAST and at + 5 <= len(params):
+            length = _word(params, at + 3)
+            data = params[at + 5 : at + 5 + length]
+            for servo in listening:
+                if servo.id == params[at] and len(data) == length:
+                    servo.write(_word(params, at + 1), data)
+            at += 5 + length
+        return []
+
+
+def _word(data: bytes, at: int) -> int:
+    return data[at] | data[at + 1] << 8

@@ -1,0 +1,135 @@
+"""The bytes of a virtual servo: a control table filled with values, and indirect addressing.
+
+**The problem.** A write names an address and bytes; the servo must know which registers that is.
+Bytes of an indirect data block stand for bytes elsewhere, by pointers that are registers
+themselves, so one write can scatter over the table. :meth:`Memory.plan` resolves a write into whole
+registers first and reports what does not fit, so that a refused write changes nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import cache
+
+from bridge.packets import ERROR_ACCESS, ERROR_LENGTH
+from bridge.registers import Area, Bound, ControlTable, Register
+
+SIZE = 1024
+
+
+class Memory:
+    """Register values of one servo."""
+
+    def __init__(self, table: ControlTable) -> None:
+        """Fill with factory values."""
+        self.table = table
+        self._registers, self._starts, self._data = _layout(table)
+        self._bytes = bytearray(SIZE)
+        self.reset("eeprom")
+        self.reset("ram")
+
+    def register(self, name: str) -> Register:
+        """Return a register or an indirect pointer by name."""
+        return self._registers[name]
+
+    def get(self, name: str) -> int:
+        """Return a register's value."""
+        register = self._registers[name]
+        data = self._bytes[register.address : register.end]
+        return int.from_bytes(data, "little", signed=register.signed)
+
+    def set(self, name: str, value: int) -> None:
+        """Set a register without asking any rule."""
+        register = self._registers[name]
+        data = value.to_bytes(register.length, "little", signed=register.signed)
+        self._bytes[register.address : register.end] = data
+
+    def bound(self, bound: Bound) -> int:
+        """Return the value of a bound: a number, a register's value or the negative of one."""
+        if isinstance(bound, str):
+            return -self.get(bound[1:]) if bound.startswith("-") else self.get(bound)
+        return bound or 0
+
+    def reset(self, area: Area) -> None:
+        """Return all writable registers of an area, and what else lives there, to defaults."""
+        self.reset_names(
+            name for name, register in self._registers.items() if register.area == area
+        )
+
+    def reset_names(self, names: Iterable[str]) -> None:
+        """Return registers to their defaults; names this model lacks are passed over."""
+        for name in names:
+            if name in self._registers:
+                self.set(name, self.bound(self._registers[name].default))
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        """Return (error, bytes); undefined addresses read as zero."""
+        if length < 1 or address + length > SIZE:
+            return ERROR_ACCESS, b""
+        if not self._data:
+            return 0, bytes(self._bytes[address : address + length])
+        return 0, bytes(self._bytes[self._target(at)] for at in range(address, address + length))
+
+    def plan(self, address: int, data: bytes) -> tuple[list[tuple[str, int]], int]:
+        """Return the register writes that bytes at an address mean, and an error code.
+
+        A write must cover whole registers and may not begin where there is none.
+        """
+        if not data:
+            return [], ERROR_LENGTH
+        if address + len(data) > SIZE:
+            return [], ERROR_ACCESS
+        targets = [self._target(at) for at in range(address, address + len(data))]
+        writes: list[tuple[str, int]] = []
+        at = 0
+        while at < len(data):
+            register = self._starts.get(targets[at])
+            if register is None:
+                if at == 0 or self._inside(targets[at]):
+                    return [], ERROR_LENGTH if self._inside(targets[at]) else ERROR_ACCESS
+                at += 1
+                continue
+            span = targets[at : at + register.length]
+            if span != list(range(register.address, register.end)):
+                return [], ERROR_LENGTH
+            writes.append((register.name, register.decode(data[at : at + register.length])))
+            at += register.length
+        return writes, 0
+
+    def _inside(self, address: int) -> bool:
+        return any(
+            register.address < address < register.end for register in self._registers.values()
+        )
+
+    def _target(self, address: int) -> int:
+        """Return the address that a byte stands for: its own, or what its pointer says."""
+        pointer = self._data.get(address)
+        if pointer is None:
+            return address
+        target = int.from_bytes(self._bytes[pointer : pointer + 2], "little")
+        return target if target < SIZE else address
+
+
+@cache
+def _layout(
+    table: ControlTable,
+) -> tuple[dict[str, Register], dict[int, Register], dict[int, int]]:
+    """Return registers by name and by first byte, and the pointer of each indirect data byte.
+
+    An indirect data byte that points to itself (the default) is a byte of free memory.
+    """
+    registers = dict(table.registers)
+    data: dict[int, int] = {}
+    number = 1
+    for block in table.indirect:
+        top = max(other.data + other.count for other in table.indirect) - 1
+        for index in range(block.count):
+            pointer, byte = block.address + 2 * index, block.data + index
+            registers[f"indirect_address_{number}"] = Register(
+                f"indirect_address_{number}", pointer, 2, default=byte, min=64, max=top
+            )
+            registers[f"indirect_data_{number}"] = Register(f"indirect_data_{number}", byte, 1)
+            data[byte] = pointer
+            number += 1
+    starts = {register.address: register for register in registers.values()}
+    return registers, starts, data

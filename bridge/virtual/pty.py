@@ -1,0 +1,180 @@
+"""Serves a virtual bus on a pseudo-terminal: any serial client can open it by name."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import heapq
+import logging
+import os
+import select
+import termios
+import threading
+import time
+import tty
+from pathlib import Path
+from types import TracebackType
+
+from bridge.virtual.bus import VirtualBus
+from robots.errors import PortLost
+
+log = logging.getLogger(__name__)
+
+_SPEEDS = {
+    getattr(termios, name): int(name[1:])
+    for name in dir(termios)
+    if name.startswith("B") and name[1:].isdigit() and name != "B0"
+}
+"""bit/s by the constant that a terminal's settings carry."""
+
+CHUNK = 4096
+
+
+class PtyServer:
+    """A virtual bus on a pseudo-terminal.
+
+    As a context manager it serves from a thread; :meth:`serve` does so in the calling one. The
+    client's rate is read from the terminal: servos set to another one hear nothing.
+    """
+
+    def __init__(
+        self, bus: VirtualBus, *, link: str | Path | None = None, timing: bool = False
+    ) -> None:
+        """Open the pseudo-terminal.
+
+        Args:
+            bus: What is served. Only the serving thread may touch it from now on.
+            link: Symbolic link to make under a stable name; removed at the end. An existing link is
+                replaced, any other file is refused.
+            timing: Whether answers take the time of the client's bit rate.
+
+        Raises:
+            PortLost: There are no pseudo-terminals here, or the link cannot be made.
+        """
+        self.bus = bus
+        self._timing = timing
+        self._due: list[tuple[float, int, bytes]] = []
+        self._count = 0
+        self._baud: int | None = None
+        self._stop_read, self._stop_write = os.pipe()
+        self._thread: threading.Thread | None = None
+        self._closed = False
+        try:
+            self._master, self._slave = os.openpty()
+        except OSError as error:
+            raise PortLost(f"no pseudo-terminal: {error.strerror}", where="virtual bus") from error
+        # The slave stays open here, so that clients may come and go without a hang-up.
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.path = os.ttyname(self._slave)
+        """Device file of the terminal."""
+        self.link = Path(link) if link is not None else None
+        if self.link is not None:
+            self._make_link(self.link)
+
+    @property
+    def port(self) -> str:
+        """Name for clients: the link if there is one, else the device file."""
+        return str(self.link) if self.link is not None else self.path
+
+    def __enter__(self) -> PtyServer:
+        """Serve from a thread."""
+        self._thread = threading.Thread(target=self.serve, name="virtual-bus", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Stop and close."""
+        self.close()
+
+    def serve(self) -> None:
+        """Serve until :meth:`stop` is called from another thread or a signal handler."""
+        poll = select.poll()
+        poll.register(self._master, select.POLLIN)
+        poll.register(self._stop_read, select.POLLIN)
+        while True:
+            wait = None
+            if self._due:
+                wait = max(0.0, self._due[0][0] - time.monotonic()) * 1e3
+            ready = {fd for fd, _ in poll.poll(wait)}
+            if self._stop_read in ready:
+                return
+            now = time.monotonic()
+            if self.bus.faults.unplugged(now):
+                log.warning("%s: the virtual adapter is unplugged", self.port)
+                self._hang_up()
+                return
+            if self._master in ready:
+                self._receive(now)
+            self._send(time.monotonic())
+
+    def stop(self) -> None:
+        """Make :meth:`serve` return."""
+        with contextlib.suppress(OSError):
+            os.write(self._stop_write, b"x")
+
+    def close(self) -> None:
+        """Stop serving, remove the link and close the terminal."""
+        if self._closed:
+            return
+        self._closed = True
+        self.stop()
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join(timeout=5)
+        self._hang_up()
+        for fd in (self._stop_read, self._stop_write):
+            os.close(fd)
+        link = self.link
+        if link is not None and link.is_symlink() and os.readlink(link) == self.path:
+            link.unlink()
+
+    def _hang_up(self) -> None:
+        for name in ("_master", "_slave"):
+            fd = getattr(self, name)
+            if fd >= 0:
+                os.close(fd)
+                setattr(self, name, -1)
+
+    def _make_link(self, link: Path) -> None:
+        try:
+            if link.is_symlink():
+                link.unlink()
+            link.symlink_to(self.path)
+        except OSError as error:
+            self._hang_up()
+            raise PortLost(
+                f"cannot make the link: {error.strerror}",
+                where=str(link),
+                hint="choose another --link",
+            ) from error
+
+    def _receive(self, now: float) -> None:
+        try:
+            data = os.read(self._master, CHUNK)
+        except OSError as error:
+            if error.errno in (errno.EAGAIN, errno.EIO):
+                return
+            raise
+        # Clients may change the rate at any time; a lookup costs a microsecond.
+        self._baud = _SPEEDS.get(termios.tcgetattr(self._master)[5])
+        self.bus.baud = self._baud if self._timing else None
+        for due, answer in self.bus.feed(now, data, baud=self._baud):
+            self._count += 1
+            heapq.heappush(self._due, (due, self._count, answer))
+
+    def _send(self, now: float) -> None:
+        ready = bytearray()
+        while self._due and self._due[0][0] <= now:
+            ready += heapq.heappop(self._due)[2]
+        while ready:
+            try:
+                del ready[: os.write(self._master, ready)]
+            except BlockingIOError:
+                # The client does not read: a real line would lose these bytes too.
+                log.warning("%s: %d bytes lost, nobody reads", self.port, len(ready))
+                return

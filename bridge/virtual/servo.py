@@ -1,0 +1,442 @@
+"""A virtual servo: the whole register file of a model, with its rules, and a horn that moves.
+
+It knows no packets and no bus: :mod:`bridge.virtual.bus` speaks for it. Time is handed in.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from bridge.packets import (
+    ALERT,
+    ERROR_ACCESS,
+    ERROR_LIMIT,
+    ERROR_RANGE,
+    ERROR_RESULT,
+)
+from bridge.registers import (
+    ACCELERATION_UNIT,
+    EXTENDED_RANGE,
+    MODE_CURRENT,
+    MODE_CURRENT_POSITION,
+    MODE_POSITION,
+    MODE_PWM,
+    MODE_VELOCITY,
+    POSITION_UNIT,
+    PWM_FULL,
+    TICKS_PER_TURN,
+    VELOCITY_UNIT,
+    VOLTAGE_UNIT,
+    WATCHDOG_UNIT,
+    ControlTable,
+)
+from bridge.virtual.memory import Memory
+from bridge.virtual.motor import RESISTANCE_DROP, STEP, Motor, Profile
+
+REVERSE = 0x01
+TIME_BASED = 0x04
+TORQUE_BY_GOAL = 0x08
+"""Bits of Drive Mode."""
+
+OVERLOAD_TIME = 2.0
+"""s of (nearly) stall current after which the overload bit is set."""
+BOOT_TIME = 0.2
+"""s without an answer after a reboot."""
+WATCHDOG_TRIPPED = -1
+"""Value of Bus Watchdog once it has stopped the servo."""
+
+GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
+RESET_BY_MODE = (
+    *("position_p_gain", "position_i_gain", "position_d_gain"),
+    *("velocity_p_gain", "velocity_i_gain", "feedforward_1st_gain", "feedforward_2nd_gain"),
+    *("profile_acceleration", "profile_velocity", "goal_pwm", "goal_current"),
+)
+"""Registers that return to their defaults when the operating mode changes."""
+
+
+@dataclass(slots=True)
+class _Settings:
+    """Registers the motion needs at every step, decoded once per write."""
+
+    torque: bool
+    mode: int
+    goal: float
+    speed: float
+    acceleration: float
+    p: int
+    i: int
+    limit: float
+    goal_current: float
+    goal_velocity: float
+    watchdog: float
+
+
+class VirtualServo:
+    """One servo: registers, rules, motion.
+
+    Positions given to or taken from Python are rad of the horn, 0 at tick 2048 (:attr:`angle`).
+    """
+
+    def __init__(
+        self,
+        table: ControlTable,
+        servo_id: int,
+        *,
+        angle: float = 0.0,
+        baud_index: int = 1,
+        load: Callable[[float], float] | None = None,
+    ) -> None:
+        """Power the servo up.
+
+        Args:
+            table: Control table of its model.
+            servo_id: Its id.
+            angle: Where the horn stands, rad from tick 2048.
+            baud_index: Value of its Baud Rate register.
+            load: Torque against positive motion as share of stall torque, from the angle in rad.
+        """
+        self.table = table
+        self.memory = Memory(table)
+        self.memory.set("id", servo_id)
+        self.memory.set("baud_rate", baud_index)
+        self.motor = Motor(table.no_load_speed, angle=angle)
+        self.profile = Profile()
+        self.supply = table.voltage
+        """V at the connector; tests may change it."""
+        self.load = load
+        self.registered: tuple[int, bytes] | None = None
+        self.boots_at = 0.0
+        """Time before which it does not answer."""
+        self._time = 0.0
+        self._heard = 0.0
+        self._still = False
+        self._overload = 0.0
+        self._power_up()
+
+    # -- what the bus asks ------------------------------------------------------------------------
+
+    @property
+    def id(self) -> int:
+        """Its id."""
+        return self.memory.get("id")
+
+    def answers_to(self, servo_id: int) -> bool:
+        """Whether a single-servo instruction for this id is for it (a shadow id counts)."""
+        shadow = self.memory.get("shadow_id")
+        return servo_id == self.id or (shadow == servo_id and shadow <= 252)
+
+    @property
+    def alert(self) -> int:
+        """The alert bit for the error byte of its status packets."""
+        return ALERT if self.memory.get("hardware_error_status") else 0
+
+    def hear(self, now: float) -> None:
+        """Note that some packet was on the bus: it feeds the watchdog."""
+        self._heard = now
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        """Return (error, data) of a read."""
+        self._publish()
+        return self.memory.read(address, length)
+
+    def write(self, address: int, data: bytes) -> int:
+        """Write bytes if every rule allows it, else nothing; return the error code."""
+        writes, error = self.memory.plan(address, data)
+        if error:
+            return error
+        torque = bool(self.memory.get("torque_enable"))
+        for name, value in writes:
+            error = self._check(name, value, torque)
+            if error:
+                return error
+        for name, value in writes:
+            self._apply(name, value)
+        self._reload()
+        return 0
+
+    def register_write(self, address: int, data: bytes) -> int:
+        """Keep a write for the next action."""
+        _, error = self.memory.plan(address, data)
+        if not error:
+            self.registered = (address, data)
+            self.memory.set("registered_instruction", 1)
+        return error
+
+    def action(self) -> int:
+        """Carry out the kept write, if any."""
+        if self.registered is None:
+            return ERROR_RESULT
+        address, data = self.registered
+        self.registered = None
+        self.memory.set("registered_instruction", 0)
+        return self.write(address, data)
+
+    def reboot(self, now: float) -> None:
+        """Restart: RAM returns to its defaults, latched errors clear, no answers for a moment."""
+        self.boots_at = now + BOOT_TIME
+        self.memory.reset("ram")
+        self._power_up()
+
+    def factory_reset(self, level: int, now: float) -> int:
+        """Return the EEPROM to factory values: 0xFF all, 1 all but id, 2 all but id and baud."""
+        if level not in (0xFF, 1, 2):
+            return ERROR_RANGE
+        kept = {"id": self.memory.get("id"), "baud_rate": self.memory.get("baud_rate")}
+        self.memory.reset("eeprom")
+        if level != 0xFF:
+            self.memory.set("id", kept["id"])
+        if level == 2:
+            self.memory.set("baud_rate", kept["baud_rate"])
+        self.reboot(now)
+        return 0
+
+    def clear_turns(self) -> int:
+        """Bring the present position back into one turn; fails while the horn moves."""
+        if abs(self.motor.velocity) > VELOCITY_UNIT:
+            return ERROR_RESULT
+        self._one_turn()
+        self._reload()
+        return 0
+
+    # -- what a test or a plant does ------------------------------------------------------------
+
+    @property
+    def angle(self) -> float:
+        """Where the horn is, rad from tick 2048."""
+        return self.motor.angle
+
+    def place(self, angle: float) -> None:
+        """Put the horn somewhere by hand, rad from tick 2048."""
+        self.motor.angle = angle
+        self.motor.brake()
+        self._still = False
+
+    def trip(self, bit: int) -> None:
+        """Set a bit of Hardware Error Status, and torque off if Shutdown asks for it."""
+        status = self.memory.get("hardware_error_status") | 1 << bit
+        self.memory.set("hardware_error_status", status)
+        if self.memory.get("shutdown") & 1 << bit:
+            self.memory.set("torque_enable", 0)
+        self._reload()
+
+    def get(self, name: str) -> int:
+        """Return a register's value as it would be read."""
+        self._publish()
+        return self.memory.get(name)
+
+    def advance(self, now: float) -> None:
+        """Let time pass until ``now`` s, on a fixed grid of steps."""
+        settings = self._settings
+        if settings.torque and settings.watchdog > 0:
+            deadline = self._heard + settings.watchdog
+            if now > deadline:
+                self._run(deadline)
+                self._trip_watchdog()
+        self._run(now)
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _power_up(self) -> None:
+        self.memory.set("model_number", self.table.number)
+        self.memory.set("firmware_version", self.table.firmware)
+        if self.memory.get("operating_mode") == MODE_POSITION:
+            self._one_turn()
+        self.memory.set("goal_position", self._ticks(self.motor.angle))
+        self.registered = None
+        self._overload = 0.0
+        self._reload()
+
+    def _one_turn(self) -> None:
+        self.motor.angle = (self.motor.angle + math.pi) % (2 * math.pi) - math.pi
+
+    def _ticks(self, angle: float) -> int:
+        """Return the position register's count for a horn angle."""
+        count = angle / POSITION_UNIT
+        if self.memory.get("drive_mode") & REVERSE:
+            count = -count
+        return round(count) + TICKS_PER_TURN // 2 + self.memory.get("homing_offset")
+
+    def _angle(self, ticks: int) -> float:
+        count = ticks - TICKS_PER_TURN // 2 - self.memory.get("homing_offset")
+        if self.memory.get("drive_mode") & REVERSE:
+            count = -count
+        return count * POSITION_UNIT
+
+    def _check(self, name: str, value: int, torque: bool) -> int:
+        """Return the error that forbids a write, or 0."""
+        register = self.memory.register(name)
+        if register.access == "r" or (register.area == "eeprom" and torque):
+            return ERROR_ACCESS
+        if name in GOALS and self.memory.get("bus_watchdog") == WATCHDOG_TRIPPED:
+            return ERROR_RANGE
+        if register.values is not None:
+            return 0 if value in register.values else ERROR_RANGE
+        low, high = register.min, register.max
+        if name == "goal_position" and self.memory.get("operating_mode") != MODE_POSITION:
+            low, high = -EXTENDED_RANGE, EXTENDED_RANGE
+        for bound, sign in ((low, -1), (high, 1)):
+            if bound is not None and (value - self.memory.bound(bound)) * sign > 0:
+                return ERROR_LIMIT if isinstance(bound, str) else ERROR_RANGE
+        if name == "torque_enable" and value and self._latched:
+            return ERROR_RESULT
+        return 0
+
+    @property
+    def _latched(self) -> bool:
+        memory = self.memory
+        return bool(memory.get("hardware_error_status") & memory.get("shutdown"))
+
+    def _apply(self, name: str, value: int) -> None:
+        before = self.memory.get(name)
+        self.memory.set(name, value)
+        if name == "operating_mode" and value != before:
+            self.memory.reset_names(RESET_BY_MODE)
+            if value == MODE_POSITION:
+                self._one_turn()
+        elif name == "torque_enable" and value and not before:
+            self.profile = Profile(self.motor.angle)
+            self.motor.error_sum = 0.0
+        elif name == "goal_position" and self.memory.get("drive_mode") & TORQUE_BY_GOAL:
+            if not (self.memory.get("torque_enable") or self._latched):
+                self.profile = Profile(self.motor.angle)
+                self.memory.set("torque_enable", 1)
+        elif name == "bus_watchdog" and value:
+            self._heard = self._time
+
+    def _reload(self) -> None:
+        """Decode what the motion needs."""
+        memory = self.memory
+        get = memory.get
+        goal = self._angle(get("goal_position"))
+        speed = get("profile_velocity") * VELOCITY_UNIT
+        acceleration = get("profile_acceleration") * ACCELERATION_UNIT
+        if get("drive_mode") & TIME_BASED:  # duration and ramp in ms instead
+            duration, ramp = get("profile_velocity") / 1e3, get("profile_acceleration") / 1e3
+            ramp = min(ramp, duration / 2)
+            distance = abs(goal - self.profile.position)
+            speed = distance / (duration - ramp) if duration > 0 else 0.0
+            acceleration = speed / ramp if ramp > 0 else 0.0
+        tripped = get("bus_watchdog") == WATCHDOG_TRIPPED
+        if tripped:
+            speed = acceleration = 0.0
+        mode = get("operating_mode")
+        limit = (
+            get("pwm_limit") if mode == MODE_PWM else min(abs(get("goal_pwm")), get("pwm_limit"))
+        )
+        current = 1.0
+        if "goal_current" in self.table and self.table.current_unit:
+            current = get("goal_current") * self.table.current_unit / self.table.stall_current
+        self._settings = _Settings(
+            torque=bool(get("torque_enable")),
+            mode=mode,
+            goal=goal,
+            speed=speed,
+            acceleration=acceleration,
+            p=get("position_p_gain"),
+            i=get("position_i_gain"),
+            limit=limit / PWM_FULL,
+            goal_current=current,
+            goal_velocity=get("goal_velocity") * VELOCITY_UNIT,
+            watchdog=max(0, get("bus_watchdog")) * WATCHDOG_UNIT,
+        )
+        self._still = False
+
+    def _trip_watchdog(self) -> None:
+        """Stop where the horn is, until the watchdog is cleared."""
+        self.motor.brake()
+        self.memory.set("bus_watchdog", WATCHDOG_TRIPPED)
+        self.memory.set("goal_position", self._ticks(self.motor.angle))
+        self.memory.set("goal_velocity", 0)
+        self.profile = Profile(self.motor.angle)
+        self._reload()
+
+    def _run(self, now: float) -> None:
+        """Integrate up to the last grid point not after ``now``."""
+        steps = int((now - self._time) / STEP + 1e-9)
+        if steps <= 0:
+            return
+        if self._still:
+            self.motor.warm(steps * STEP)
+        else:
+            for left in range(steps, 0, -1):
+                before = self.motor.angle
+                self._step()
+                if (
+                    abs(self.motor.angle - before) < 1e-9
+                    and abs(self.motor.velocity) < 1e-7
+                    and self.profile.velocity == 0.0
+                    and self.load is None
+                    and self.motor.error_sum == 0.0
+                ):
+                    self._still = True
+                    self.motor.warm(left * STEP)
+                    break
+                self.motor.warm(STEP)
+        self._time += steps * STEP
+        self._protect(steps * STEP)
+
+    def _step(self) -> None:
+        settings, motor = self._settings, self.motor
+        if not settings.torque:
+            motor.coast(STEP)
+            return
+        sag = 1 - RESISTANCE_DROP * min(1.0, abs(motor.current))
+        supply = self.supply * sag / self.table.voltage
+        load = self.load(motor.angle) if self.load else 0.0
+        mode, limit = settings.mode, settings.limit
+        if mode == MODE_PWM:
+            duty = self.memory.get("goal_pwm") / PWM_FULL
+        elif mode == MODE_VELOCITY:
+            duty = settings.goal_velocity / (motor.no_load_speed * supply)
+        elif mode == MODE_CURRENT:
+            duty = (settings.goal_current + motor.velocity / motor.no_load_speed) / supply
+        else:
+            profile = self.profile
+            profile.step(settings.goal, settings.speed, settings.acceleration, STEP)
+            duty = motor.control(profile.position - motor.angle, settings.p, settings.i, limit)
+            if mode == MODE_CURRENT_POSITION:
+                most = abs(settings.goal_current)
+                back = motor.velocity / motor.no_load_speed
+                duty = max((back - most) / supply, min((back + most) / supply, duty))
+        motor.drive(max(-limit, min(limit, duty)), supply, load, STEP)
+
+    def _protect(self, elapsed: float) -> None:
+        """Set hardware errors that the state calls for."""
+        volts = self.supply / VOLTAGE_UNIT
+        low, high = self.memory.get("min_voltage_limit"), self.memory.get("max_voltage_limit")
+        if not low <= volts <= high:
+            self.trip(0)
+        if self.motor.temperature > self.memory.get("temperature_limit"):
+            self.trip(2)
+        self._overload = self._overload + elapsed if abs(self.motor.current) > 0.9 else 0.0
+        if self._overload > OVERLOAD_TIME:
+            self.trip(5)
+
+    def _publish(self) -> None:
+        """Write the state into the registers that show it."""
+        motor, memory, table = self.motor, self.memory, self.table
+        sign = -1 if memory.get("drive_mode") & REVERSE else 1
+        error = memory.get("goal_position") - self._ticks(motor.angle)
+        speed = round(sign * motor.velocity / VELOCITY_UNIT)
+        moving = abs(speed) > memory.get("moving_threshold")
+        arrived = abs(error) <= 4
+        running = self._settings.torque and self.profile.velocity != 0
+        memory.set("present_position", self._ticks(motor.angle))
+        memory.set("present_velocity", speed)
+        memory.set("present_pwm", round(sign * motor.duty * PWM_FULL))
+        if table.current_unit is not None:
+            counts = sign * motor.current * table.stall_current / table.current_unit
+            memory.set("present_current", max(-32768, min(32767, round(counts))))
+        else:
+            load = sign * motor.current * 1000
+            memory.set("present_load", max(-1000, min(1000, round(load))))
+        sag = 1 - RESISTANCE_DROP * min(1.0, abs(motor.current))
+        memory.set("present_input_voltage", round(self.supply * sag / VOLTAGE_UNIT))
+        memory.set("present_temperature", max(0, min(255, round(motor.temperature))))
+        memory.set("moving", int(moving))
+        memory.set("moving_status", arrived | running << 1 | (not arrived) << 3)
+        memory.set("velocity_trajectory", round(sign * self.profile.velocity / VELOCITY_UNIT))
+        memory.set("position_trajectory", self._ticks(self.profile.position))
+        memory.set("realtime_tick", int(self._time * 1e3) % 32768)
