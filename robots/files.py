@@ -14,6 +14,7 @@ import io
 import json
 import math
 import os
+import struct
 import tempfile
 import zipfile
 import zlib
@@ -32,6 +33,12 @@ MAX_BYTES = 256 * 2**20
 
 HEADER_MEMBER = "header.json"
 MAX_HEADER_BYTES = 16 * 2**20
+
+MAX_DIRECTORY_BYTES = 2**20
+"""Largest directory of a zip: some ten thousand members. Python keeps ten times its size."""
+
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+"""What numpy writes. Others can claim gigabytes for a dictionary before the first byte."""
 
 
 @contextmanager
@@ -141,6 +148,7 @@ def read_archive(
                 raise MotionFileError(
                     "this is not an npz archive", where=where, hint=_foreign_hint(magic)
                 )
+            _require_small_directory(file)
             file.seek(0)
             with zipfile.ZipFile(file) as archive:
                 members = [info for info in archive.infolist() if not info.is_dir()]
@@ -171,6 +179,22 @@ def read_archive(
         ) from error
 
 
+def _require_small_directory(file: IO[bytes]) -> None:
+    """Find the end of a zip's directory as zipfile does, and check the size stated there."""
+    size = file.seek(0, os.SEEK_END)
+    file.seek(max(0, size - 22 - 2**16))
+    tail = file.read()
+    at = len(tail) - 22
+    if tail[at : at + 4] != b"PK\5\6" or tail[-2:] != b"\0\0":
+        at = tail.rfind(b"PK\5\6")
+    if at < 0 or len(tail) - at < 22:
+        raise zipfile.BadZipFile("it has no directory")
+    (directory,) = struct.unpack_from("<I", tail, at + 12)
+    is_zip64 = at >= 20 and tail[at - 20 : at - 16] == b"PK\6\7"
+    if directory > MAX_DIRECTORY_BYTES or is_zip64:
+        raise zipfile.BadZipFile("its directory claims more members than a motion can need")
+
+
 def _reason(error: BaseException) -> str:
     if isinstance(error, FileNotFoundError):
         return "there is no such file"
@@ -184,6 +208,8 @@ def _foreign_hint(magic: bytes) -> str:
 
 
 def _bounded(archive: zipfile.ZipFile, info: zipfile.ZipInfo, limit: int) -> bytes:
+    if info.compress_type not in _METHODS:
+        raise zipfile.BadZipFile(f"member {info.filename} is compressed in a way numpy never does")
     with archive.open(info) as member:
         data = member.read(min(info.file_size, limit) + 1)
     if len(data) > info.file_size or len(data) > limit:
@@ -234,5 +260,8 @@ def parse_npy(data: bytes, *, where: str) -> NDArray[Any]:
             f" {len(data) - stream.tell()}",
             where=where,
         )
-    array = np.frombuffer(data, dtype, offset=stream.tell())
-    return array.reshape(shape, order="F" if fortran else "C").copy()
+    try:
+        array = np.frombuffer(data, dtype, offset=stream.tell())
+        return array.reshape(shape, order="F" if fortran else "C").copy()
+    except (ValueError, TypeError, OverflowError) as error:  # empty texts, absurd dimensions
+        raise MotionFileError(f"an array cannot have shape {shape}", where=where) from error

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from generator.io.text import MAX_VALUES
 from robots.errors import MotionFileError
 from robots.files import MAX_BYTES, parse_npy
 from robots.skeleton import FloatArray
@@ -47,8 +48,12 @@ def floats(array: NDArray[Any], where: str) -> FloatArray:
     """Return a numeric array as floats.
 
     Raises:
-        MotionFileError: It is not numeric.
+        MotionFileError: It is not numeric, or too large: small types grow eightfold here.
     """
+    if array.size > MAX_VALUES:
+        raise MotionFileError(
+            f"holds {array.size} numbers", where=where, allowed=f"at most {MAX_VALUES}"
+        )
     if array.dtype.kind not in "iuf":
         raise MotionFileError(f"holds {array.dtype}, not numbers", where=where)
     return array.astype(np.float64, copy=False)
@@ -81,7 +86,7 @@ def text_entry(arrays: Mapping[str, NDArray[Any]], keys: tuple[str, ...], where:
             array = arrays[key]
             if array.size != 1 or array.dtype.kind not in "SU":
                 raise MotionFileError(f"'{key}' is not a text", where=where)
-            return _text(array.reshape(-1)[0], f"{where}[{key}]")
+            return _texts(array, f"{where}[{key}]")[0]
     return ""
 
 
@@ -97,13 +102,17 @@ def name_entries(array: NDArray[Any], where: str, *, most: int) -> list[str]:
             where=where,
             allowed=f"a list of at most {most} names",
         )
-    return [_text(name, where) for name in array]
+    return _texts(array, where)
 
 
-def _text(value: Any, where: str) -> str:
+def _texts(array: NDArray[Any], where: str) -> list[str]:
     try:
-        text = value.decode("utf-8") if isinstance(value, bytes) else str(value)
-        text.encode("utf-8")  # lone surrogates cannot be written again
-    except UnicodeError as error:
-        raise MotionFileError("this is not UTF-8 text", where=where) from error
-    return text[:MAX_TEXT]
+        texts = [
+            value.decode("utf-8") if isinstance(value, bytes) else str(value)
+            for value in array.reshape(-1).tolist()
+        ]
+        for text in texts:
+            text.encode("utf-8")  # lone surrogates cannot be written again
+    except ValueError as error:  # UnicodeError is one; numpy raises others for absurd characters
+        raise MotionFileError("this is not Unicode text", where=where) from error
+    return [text[:MAX_TEXT] for text in texts]

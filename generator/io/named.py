@@ -32,7 +32,7 @@ def parse_named(arrays: Mapping[str, NDArray[Any]], said: Statement, path: Path)
     """
     where = str(path)
     names = name_entries(arrays["joint_names"], f"{where}[joint_names]", most=MAX_BONES)
-    people = []
+    people: list[NDArray[Any]] = []
     for key in ("a", "b"):
         array = arrays[key]
         if array.ndim != 3 or array.shape[1:] != (len(names), 3):
@@ -42,13 +42,13 @@ def parse_named(arrays: Mapping[str, NDArray[Any]], said: Statement, path: Path)
                 allowed=f"(frames, {len(names)}, 3), one point per name",
             )
         require_frames(len(array), where)
-        people.append(floats(array, where))
+        people.append(array)
     if len(people[0]) != len(people[1]):
         raise MotionFileError(
             f"person a has {len(people[0])} frames, person b {len(people[1])}", where=where
         )
     bones = map_bones(names, where)
-    starts = [person[:, list(bones.bones)] for person in people]
+    starts = [floats(person[:, list(bones.bones)], where) for person in people]
     for start in starts:
         require_sane(start, where)
     stated_up = text_entry(arrays, ("up",), where)
