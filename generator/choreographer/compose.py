@@ -1,0 +1,132 @@
+"""From the name of an interaction to a two-person motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from generator.choreographer.arms import pose_arms
+from generator.choreographer.interaction import lookup
+from generator.choreographer.pose import Pose
+from generator.choreographer.role import Build
+from generator.choreographer.spacing import pose_trunks, solve
+from generator.choreographer.stage import FPS, Stage
+from generator.choreographer.style import Style
+from generator.motion import Contact, DuetMotion, Motion
+from robots.skeleton import Skeleton, human_skeleton
+
+SOURCE = "pasdedeux choreographer 1"
+LICENCE = "CC0-1.0"
+"""Motions that the choreographer invents are free of rights."""
+
+
+def choreograph(
+    interaction: str,
+    *,
+    seed: int = 0,
+    style: Style | None = None,
+    skeletons: tuple[Skeleton, Skeleton] | None = None,
+) -> DuetMotion:
+    """Return a new two-person motion; the same arguments give the same motion.
+
+    Args:
+        interaction: A name from :func:`generator.choreographer.repertoire`.
+        seed: Decides everything the style leaves open: timing, paths, sway.
+        style: Manner of the performance; ordinary by default.
+        skeletons: Bodies of person a and person b; the project's own human by default.
+
+    Raises:
+        PromptError: There is no such interaction.
+        SpecError: A skeleton lacks a keypoint of the human body.
+    """
+    entry = lookup(interaction)
+    style = style or Style()
+    bodies = skeletons or (human_skeleton(), human_skeleton())
+    cast = bodies[::-1] if style.swap else bodies
+    left_handed = style.handedness == "left"
+    builds = tuple(Build.of(mirrored_skeleton(s) if left_handed else s) for s in cast)
+    salt = list(entry.name.encode())
+
+    def attempt(near: float) -> tuple[Stage, tuple[Pose, Pose]]:
+        rng = np.random.default_rng([seed, *salt])
+        stage = Stage((builds[0], builds[1]), style, rng, near)
+        entry.staging(stage)
+        return stage, pose_trunks(stage)
+
+    stage, pair = solve(entry.spacing, attempt)
+    pose_arms(pair)
+    motions = [pose.motion(FPS) for pose in pair]
+    touches = tuple(stage.touches)
+    if left_handed:
+        motions = [_mirrored(motion) for motion in motions]
+        touches = tuple(
+            replace(touch, a=_other_side(touch.a), b=_other_side(touch.b)) for touch in touches
+        )
+    if style.swap:
+        motions = [_turned(motion) for motion in reversed(motions)]
+        touches = tuple(Contact(t.b, t.a, t.start, t.end, t.gap) for t in touches)
+    return DuetMotion(
+        motions[0],
+        motions[1],
+        seed=seed,
+        source=SOURCE,
+        licence=LICENCE,
+        contacts=touches,
+        interaction=entry.name,
+    )
+
+
+def _other_side(name: str) -> str:
+    if name.startswith("left_"):
+        return "right_" + name.removeprefix("left_")
+    if name.startswith("right_"):
+        return "left_" + name.removeprefix("right_")
+    return name
+
+
+def _swapped(skeleton: Skeleton) -> list[int]:
+    return [skeleton.index(_other_side(name)) for name in skeleton.names]
+
+
+def mirrored_skeleton(skeleton: Skeleton) -> Skeleton:
+    """Return the skeleton as seen in a mirror: y is reflected and the sides change names."""
+    offsets = skeleton.offsets[_swapped(skeleton)] * (1.0, -1.0, 1.0)
+    return Skeleton(skeleton.names, skeleton.parents, offsets, skeleton.hand_per_forearm)
+
+
+def _mirrored(motion: Motion) -> Motion:
+    """Return the motion reflected at the plane y = 0."""
+    order = _swapped(motion.skeleton)
+    rotations, contacts = _labelled(motion)
+    return Motion(
+        motion.fps,
+        motion.keypoints[:, order] * (1.0, -1.0, 1.0),
+        rotations[:, order] * (1.0, -1.0, 1.0, -1.0),
+        contacts[:, [2, 3, 0, 1]],
+        mirrored_skeleton(motion.skeleton),
+    )
+
+
+def _turned(motion: Motion) -> Motion:
+    """Return the motion turned half round about the vertical through the origin."""
+    rotations, contacts = _labelled(motion)
+    turned = np.array(rotations)
+    w, x, y, z = np.moveaxis(rotations[:, 0], -1, 0)
+    turned[:, 0] = np.column_stack([-z, -y, x, w])
+    return Motion(
+        motion.fps,
+        motion.keypoints * (-1.0, -1.0, 1.0),
+        turned,
+        contacts,
+        motion.skeleton,
+    )
+
+
+def _labelled(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
+    if motion.rotations is None or motion.foot_contacts is None:
+        raise TypeError("only motions with rotations and foot contacts are transformed")
+    return motion.rotations, motion.foot_contacts
+
+
+__all__ = ["LICENCE", "SOURCE", "choreograph", "mirrored_skeleton"]

@@ -1,0 +1,168 @@
+"""Where and when feet step so that a person can follow a path without sliding.
+
+**The problem.** A path says where the pelvis goes; feet may only stand or swing. Steps are planned
+one after another: the foot whose turn it is leaves for the place that lies under the hip half a
+stance later, so that the body passes over it in the middle of its stance. A foot that already
+stands well stays. Between its steps a foot is pinned by its toe; before leaving, the heel rises
+about the toe, which keeps the trailing leg long and the pelvis level, as people do.
+
+Worked example, 1 m/s with a step every 0.52 s and 0.42 s of swing: a foot stands 0.62 s, so it is
+set down 0.31 m ahead of the hip and leaves 0.31 m behind it, and steps are 0.52 m long.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from generator.choreographer.curves import ease, window
+from generator.choreographer.frames import apply, pitch, yaw
+from generator.choreographer.role import Role
+from generator.choreographer.style import Side
+from robots.skeleton import FloatArray
+
+TOE_HEIGHT = 0.02
+"""Height of the toe keypoint (ball of the foot) of a standing 1.70 m person, m; the ankle then
+stands at 0.075 m = 4.4 % of stature, as in anthropometric tables."""
+TOE_OUT = 0.10
+"""Angle by which standing feet point outward, rad."""
+SWING = 0.42
+"""Time a foot is in the air, s."""
+NEAR_ENOUGH = 0.06
+"""A foot this close to its place does not step, m."""
+TURN_WEIGHT = 0.25
+"""Metres that one radian of wrong foot direction counts for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One step of one foot."""
+
+    side: Side
+    leave: float
+    """Toe leaves the floor, s."""
+    land: float
+    """Foot stands again, s."""
+    start: tuple[float, float, float]
+    """Toe x, y (m) and direction (rad) before."""
+    end: tuple[float, float, float]
+    """The same after."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Foot:
+    """The path of one foot."""
+
+    ankle: FloatArray
+    """``[T, 3]`` m."""
+    toe: FloatArray
+    """``[T, 3]`` m."""
+    rotation: FloatArray
+    """``[T, 3, 3]`` rest frame to world."""
+    direction: FloatArray
+    """``[T]`` rad."""
+    heel_down: NDArray[np.bool_]
+    """``[T]``: the ankle stands."""
+    toe_down: NDArray[np.bool_]
+    """``[T]``: the toe stands."""
+
+
+def plan_steps(role: Role) -> list[Step]:
+    """Return the steps that carry a role along its path, in the order in which feet leave."""
+    times, end = role.times, float(role.times[-1])
+    spots = {side: _spots(role, side) for side in ("left", "right")}
+
+    def spot(side: Side, moment: float) -> FloatArray:
+        return np.array([np.interp(moment, times, column) for column in spots[side].T])
+
+    standing = {side: spot(side, 0.0) for side in ("left", "right")}
+    steps: list[Step] = []
+    turn: Side = role.first_step
+    moment = 0.05
+    while moment < end - SWING - 0.05:
+        pace = _pace(role, moment)
+        period = float(np.clip(0.66 - 0.14 * pace, 0.5, 0.66))
+        ahead = moment + SWING + period - SWING / 2
+        for side in (turn, _other(turn)):
+            goal = spot(side, ahead)
+            if _misplaced(goal, standing[side]) > NEAR_ENOUGH * role.build.scale:
+                start = (*map(float, standing[side]),)
+                steps.append(Step(side, moment, moment + SWING, start, (*map(float, goal),)))  # type: ignore[arg-type]
+                standing[side] = goal
+                turn = _other(side)
+                moment += period
+                break
+        else:
+            moment += 1 / 60
+    return steps
+
+
+def _spots(role: Role, side: Side) -> FloatArray:
+    """Return toe x, y and direction ``[T, 3]`` of a foot that stands under its hip all the time."""
+    sign = 1.0 if side == "left" else -1.0
+    toe = role.build.offset(f"{side}_foot")
+    ankle = np.array([-0.04 * role.build.scale, sign * role.stance * role.build.scale, 0.0])
+    direction = role.heading + sign * TOE_OUT
+    place = apply(yaw(role.heading), ankle) + apply(yaw(direction), toe)
+    return np.column_stack([role.path + place[:, :2], direction])
+
+
+def _pace(role: Role, moment: float) -> float:
+    """Return the mean speed over the next step, m/s."""
+    ends = [
+        np.array([np.interp(t, role.times, column) for column in role.path.T])
+        for t in (moment, moment + 0.6)
+    ]
+    return float(np.linalg.norm(ends[1] - ends[0])) / 0.6
+
+
+def _misplaced(goal: FloatArray, now: FloatArray) -> float:
+    return float(np.hypot(*(goal - now)[:2]) + TURN_WEIGHT * abs(goal[2] - now[2]))
+
+
+def _other(side: Side) -> Side:
+    return "right" if side == "left" else "left"
+
+
+def foot_path(role: Role, steps: list[Step], side: Side, lift: float = 1.0) -> Foot:
+    """Return the path of one foot through its steps.
+
+    Args:
+        role: Whose foot.
+        steps: From :func:`plan_steps`.
+        side: Which foot.
+        lift: Factor on the height of steps.
+    """
+    times, scale = role.times, role.build.scale
+    own = [step for step in steps if step.side == side]
+    first = _spots(role, side)[0] if not own else np.array(own[0].start)
+    place = np.tile(first, (len(times), 1))
+    height = np.full(len(times), TOE_HEIGHT * scale)
+    tip = np.zeros(len(times))
+    toe_down = np.ones(len(times), dtype=np.bool_)
+    heel_down = np.ones(len(times), dtype=np.bool_)
+    settled = 0.0
+    for step in own:
+        swing = step.land - step.leave
+        progress = (times - step.leave) / swing
+        move = np.subtract(step.end, step.start)
+        length = float(np.hypot(move[0], move[1]))
+        place += ease(progress)[:, None] * move
+        u = np.clip(progress, 0.0, 1.0)
+        height += lift * (0.035 + 0.05 * min(length, 0.8)) * scale * 64 * (u * (1 - u)) ** 3
+        heading = step.start[2]
+        forward = (move[0] * np.cos(heading) + move[1] * np.sin(heading)) / scale
+        angle = 0.12 + 0.38 * float(np.clip(forward, 0.0, 1.1))
+        heel_up = max(step.leave - 0.20, settled)
+        tip += angle * window(
+            times, heel_up, step.leave + 0.3 * swing, step.leave + 0.3 * swing, step.land - 0.06
+        )
+        toe_down &= (times <= step.leave) | (times >= step.land)
+        heel_down &= (times <= heel_up) | (times >= step.land)
+        settled = step.land + 0.02
+    toe = np.column_stack([place[:, :2], height])
+    rotation = yaw(place[:, 2]) @ pitch(tip)
+    ankle = toe - apply(rotation, role.build.offset(f"{side}_foot"))
+    return Foot(ankle, toe, rotation, place[:, 2], heel_down, toe_down)

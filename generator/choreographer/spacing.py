@@ -1,0 +1,101 @@
+"""How near two people stand, solved from what they do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+
+from generator.choreographer.arms import extension
+from generator.choreographer.clearance import LEGS, TRUNK, clearances
+from generator.choreographer.pose import Pose
+from generator.choreographer.stage import Stage
+from generator.choreographer.trunk import pose_head, pose_trunk
+
+Pair = tuple[Pose, Pose]
+Attempt = Callable[[float], tuple[Stage, Pair]]
+"""Plays an interaction with a given distance, up to the trunks."""
+
+NEAREST, FARTHEST = 0.15, 1.9
+"""Range of distances between pelvises that is searched, m."""
+
+
+@dataclass(frozen=True, slots=True)
+class ByReach:
+    """Stand so that the longest reach of a touch takes a given share of the arm."""
+
+    share: float = 0.85
+    """0..0.92; the style's distance changes it a little."""
+    room: float = 0.04
+    """Least gap between trunks and legs, m."""
+
+
+@dataclass(frozen=True, slots=True)
+class ByTouch:
+    """Stand so that trunks or legs come as near as a given gap, but no closer."""
+
+    gap: float = 0.0
+    """Gap between the bodies, m; negative presses soft bodies together."""
+
+
+@dataclass(frozen=True, slots=True)
+class Apart:
+    """Stand at a given distance."""
+
+    distance: float = 1.5
+    """Between the pelvises, m for people of 1.70 m; times the style's distance."""
+
+
+Spacing = ByReach | ByTouch | Apart
+
+
+def solve(spacing: Spacing, attempt: Attempt) -> tuple[Stage, Pair]:
+    """Return the performance at the right distance.
+
+    Extension grows and gaps grow with the distance, so each question has one answer, found by
+    Brent's method: the farthest distance at which hands still meet at ease, unless bodies are then too
+    close, and the nearest at which bodies do not press.
+    """
+    stage, pair = attempt(1.0)
+    if isinstance(spacing, Apart):
+        return attempt(spacing.distance * stage.scale * stage.style.distance)
+    if isinstance(spacing, ByTouch):
+        return attempt(_root(lambda near: body_gap(*attempt(near)) - spacing.gap))
+    share = spacing.share * (1 + 0.25 * (stage.style.distance - 1))
+    share = min(share, 0.91)
+    reach = _root(lambda near: extension(attempt(near)[1]) - share)
+    stage, pair = attempt(reach)
+    if body_gap(stage, pair) < spacing.room:
+        room = _root(lambda near: body_gap(*attempt(near)) - spacing.room)
+        stage, pair = attempt(room)
+    return stage, pair
+
+
+def body_gap(stage: Stage, pair: Pair) -> float:
+    """Return the least gap between the trunks and legs of two people over time, m."""
+    first, second = ((p.role.build.skeleton, p.points, p.role.build.scale) for p in pair)
+    gaps = clearances((first, second), TRUNK + LEGS)
+    return min(float(gap.min()) for gap in gaps.values())
+
+
+def _root(excess: Callable[[float], float], tolerance: float = 0.003) -> float:
+    """Return the distance at which a growing function crosses zero, or the end that is nearer."""
+    low, high = excess(NEAREST), excess(FARTHEST)
+    if low >= 0.0:
+        return NEAREST
+    if high <= 0.0:
+        return FARTHEST
+    return float(brentq(excess, NEAREST, FARTHEST, xtol=tolerance))
+
+
+def pose_trunks(stage: Stage) -> Pair:
+    """Return both bodies without arms."""
+    first, second = (pose_trunk(role, stage.style.energy) for role in stage.people)
+    pose_head(first, second)
+    pose_head(second, first)
+    for pose in (first, second):
+        if not np.isfinite(pose.points).all():  # pragma: no cover - a broken interaction
+            raise ArithmeticError("an interaction wrote a path that is not finite")
+    return first, second
