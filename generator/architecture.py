@@ -1,0 +1,57 @@
+"""The architecture of a denoiser, as data that is saved beside its weights. Torch-free."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from robots.errors import SpecError
+
+FEATURES = 262
+"""Numbers per person and frame in the non-canonical representation (eq. 2)."""
+
+
+@dataclass(frozen=True, slots=True)
+class DenoiserConfig:
+    """Size and variant of the cooperative denoiser (Sec. 4.2).
+
+    The defaults are the size of the paper (Sec. 5.1). The three variants are rows of Table 3.
+
+    Raises:
+        SpecError: A number is out of range, or the width does not divide by the heads.
+    """
+
+    width: int = 1024
+    """Latent dimension D."""
+    layers: int = 8
+    """Blocks N."""
+    heads: int = 8
+    """Attention heads per layer."""
+    feedforward: int = 2048
+    """Hidden width of the feed-forward layers."""
+    dropout: float = 0.1
+    """In attention and feed-forward layers, while training."""
+    features: int = FEATURES
+    """Numbers per person and frame."""
+    text_width: int = 768
+    """Width of the condition vector."""
+    representation: Literal["non_canonical", "canonical"] = "non_canonical"
+    """What the numbers mean: eq. (2), or eq. (1) for the row "canonical rep"."""
+    conditioning: Literal["adaptive_norm", "concat"] = "adaptive_norm"
+    """Time and text modulate every layer norm, or stand as one more frame in front of the motion
+    (row "concat-conditioning")."""
+    share_weights: bool = True
+    """Whether both persons have the same network (row "w/o weights sharing")."""
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        for name in ("width", "layers", "heads", "feedforward", "features", "text_width"):
+            if getattr(self, name) < 1:
+                raise SpecError(f"{name} is {getattr(self, name)}", allowed="1 or more")
+        if self.width % self.heads or self.width % 2:
+            raise SpecError(
+                f"width {self.width} does not divide by {self.heads} heads and by 2",
+                where="denoiser",
+            )
+        if not 0 <= self.dropout < 1:
+            raise SpecError(f"dropout {self.dropout}", where="denoiser", allowed="0 up to below 1")

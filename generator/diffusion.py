@@ -1,0 +1,168 @@
+"""Noise schedules and samplers: DDIM and DPM-Solver++(2M), with classifier-free guidance.
+
+The network predicts the clean motion x0, so everything is written in x0 and noise:
+
+    x_t = sqrt(abar_t) x0 + sqrt(1 - abar_t) eps
+
+Own code rather than a library's schedulers: the release spaces its steps from the clean end
+(0, 20, ... 980) *and* keeps the prediction of the last step instead of one more update, which must
+be matched to the last digit; the rest is forty lines.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from robots.errors import SpecError
+
+STEPS = 1000
+"""Diffusion steps T of training."""
+
+Predict = Callable[[Tensor, Tensor], Tensor]
+"""Takes ``x_t [B, ...]`` and ``t [B]``, gives the predicted clean motion."""
+
+
+def cosine_alphas(steps: int = STEPS, offset: float = 0.008) -> NDArray[np.float64]:
+    """Return ``abar_t [steps]`` of the cosine schedule (Nichol & Dhariwal 2021, eq. 17)."""
+
+    def level(u: float) -> float:
+        return math.cos((u + offset) / (1 + offset) * math.pi / 2) ** 2
+
+    betas = [min(1 - level((i + 1) / steps) / level(i / steps), 0.999) for i in range(steps)]
+    return np.cumprod(1.0 - np.array(betas))
+
+
+@dataclass(frozen=True, slots=True)
+class SamplerConfig:
+    """How a motion is drawn.
+
+    Raises:
+        SpecError: A number is out of range.
+    """
+
+    solver: Literal["ddim", "dpm2m"] = "ddim"
+    """DDIM (Song et al. 2020), or the second-order DPM-Solver++(2M) (Lu et al. 2022)."""
+    steps: int = 50
+    """Network evaluations, without those of guidance."""
+    spacing: Literal["leading", "trailing"] = "leading"
+    """``leading``: from step 0 up, as the release; ``trailing``: from step 999 down, which few-step
+    sampling needs because it starts where the noise is."""
+    eta: float = 0.0
+    """Share of fresh noise per DDIM step; 0 is deterministic."""
+    guidance: float = 3.5
+    """Weight of the condition; 1 is none (Sec. 5.1)."""
+    guidance_interval: tuple[int, int] = (0, STEPS - 1)
+    """First and last step t that are guided; others cost one evaluation instead of two."""
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        if not 1 <= self.steps <= STEPS:
+            raise SpecError(f"{self.steps} sampling steps", allowed=f"1 to {STEPS}")
+        if not 0 <= self.eta <= 1:
+            raise SpecError(f"eta {self.eta}", allowed="0 to 1")
+        if self.solver == "dpm2m" and self.eta:
+            raise SpecError("DPM-Solver++ takes no fresh noise", allowed="eta 0")
+
+
+def timesteps(steps: int, spacing: str) -> list[int]:
+    """Return the steps t to visit, from noise to clean."""
+    if spacing == "leading":
+        stride = STEPS // steps
+        return [i * stride for i in range(math.ceil(STEPS / stride))][:steps][::-1]
+    return [round(STEPS * (1 - i / steps)) - 1 for i in range(steps)]
+
+
+def guided(denoise: Callable[..., Tensor], cond: Tensor, config: SamplerConfig) -> Predict:
+    """Return a predictor with classifier-free guidance (Ho & Salimans 2021) on x0.
+
+    Both branches go through the network as one batch; outside the interval, and at weight 1, only
+    the conditional one does.
+    """
+    low, high = config.guidance_interval
+    both = torch.cat([cond, torch.zeros_like(cond)])
+
+    def predict(x: Tensor, t: Tensor) -> Tensor:
+        if config.guidance == 1 or not low <= int(t[0]) <= high:
+            return denoise(x, t, cond)
+        with_text, without = denoise(x.repeat(2, 1, 1), t.repeat(2), both).chunk(2)
+        return torch.lerp(without, with_text, config.guidance)
+
+    return predict
+
+
+def sample(
+    predict: Predict,
+    noise: Tensor,
+    config: SamplerConfig,
+    *,
+    generator: torch.Generator | None = None,
+    constrain: Callable[[Tensor, int], Tensor] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Tensor:
+    """Return the clean motion that a noise leads to.
+
+    Args:
+        predict: The (guided) network.
+        noise: ``[B, T, F]``, standard normal.
+        config: Solver, steps and spacing.
+        generator: Source of fresh noise, for eta above 0.
+        constrain: Called with every predicted clean motion and its step; returns it with what is
+            given put in (person-to-person, trajectories, in-betweening: Sec. 5.4).
+        progress: Called with the share done.
+    """
+    visited = timesteps(config.steps, config.spacing)
+    alphas = cosine_alphas()
+    x, clean, previous = noise, noise, None
+    for index, step in enumerate(visited):
+        t = torch.full((len(x),), step, device=x.device, dtype=torch.long)
+        clean = predict(x, t)
+        if constrain is not None:
+            clean = constrain(clean, step)
+        if index + 1 == len(visited):
+            break
+        now, then = float(alphas[step]), float(alphas[visited[index + 1]])
+        if config.solver == "ddim":
+            x = _ddim(x, clean, now, then, config.eta, generator)
+        else:
+            before = float(alphas[visited[index - 1]]) if index else None
+            x = _dpm2m(x, clean, previous, now, then, before)
+            previous = clean
+        if progress:
+            progress((index + 1) / len(visited))
+    return clean
+
+
+def _ddim(
+    x: Tensor, clean: Tensor, now: float, then: float, eta: float, generator: torch.Generator | None
+) -> Tensor:
+    """One step of DDIM (Song et al. 2020, eq. 12) from level ``now`` to the cleaner ``then``."""
+    noise = (x - math.sqrt(now) * clean) / math.sqrt(1 - now)
+    fresh = eta * math.sqrt((1 - then) / (1 - now) * (1 - now / then))
+    x = math.sqrt(then) * clean + math.sqrt(max(1 - then - fresh * fresh, 0.0)) * noise
+    if fresh:
+        x = x + fresh * torch.randn(x.shape, generator=generator, device=x.device, dtype=x.dtype)
+    return x
+
+
+def _dpm2m(
+    x: Tensor, clean: Tensor, previous: Tensor | None, now: float, then: float, before: float | None
+) -> Tensor:
+    """One step of DPM-Solver++(2M) (Lu et al. 2022, algorithm 2), in half log signal-to-noise."""
+
+    def half_snr(alpha: float) -> float:
+        return 0.5 * math.log(alpha / (1 - alpha))
+
+    h = half_snr(then) - half_snr(now)
+    target = clean
+    if previous is not None and before is not None:
+        r = (half_snr(now) - half_snr(before)) / h
+        target = clean + (clean - previous) / (2 * r)
+    return math.sqrt((1 - then) / (1 - now)) * x - math.sqrt(then) * math.expm1(-h) * target
