@@ -1,0 +1,1 @@
+"""Ways to make two simulated people follow a reference."""
