@@ -2,27 +2,42 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from robots.skeleton import FloatArray
+
+MARGIN = 1.08
+"""How much further away than needed the camera stands."""
 
 
 @dataclass(frozen=True, slots=True)
 class CameraPath:
-    """A camera on a dolly: fixed direction and distance, a centre that follows the subjects."""
+    """A camera on a dolly: it looks one way, follows the subjects and keeps its distance."""
 
     centre: FloatArray
     """``[N, 3]`` m, world, the point looked at."""
+    distance: FloatArray
+    """``[N]`` m, from the camera to the centre."""
     azimuth: float
     """Heading of the line of sight, degrees from +x, counter-clockwise."""
     elevation: float
     """Pitch of the line of sight, degrees; negative looks down."""
-    distance: float
-    """From the camera to the centre, m."""
+
+    def axes(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the unit vectors ``[3]`` to the right, up and along the line of sight."""
+        heading, pitch = np.radians(self.azimuth), np.radians(self.elevation)
+        level = np.array([np.cos(heading), np.sin(heading), 0.0])
+        right = np.array([np.sin(heading), -np.cos(heading), 0.0])
+        sight = np.cos(pitch) * level + np.array([0.0, 0.0, np.sin(pitch)])
+        return right, np.cross(right, sight), sight
+
+    def eye(self, index: int) -> FloatArray:
+        """Return where the camera stands ``[3]`` m at a moment."""
+        return self.centre[index] - self.distance[index] * self.axes()[2]
 
 
 def follow(
@@ -47,27 +62,27 @@ def follow(
         elevation: Pitch of the line of sight, degrees.
     """
     across = (b.mean(axis=1) - a.mean(axis=1)).mean(axis=0)
-    azimuth = np.degrees(np.arctan2(across[1], across[0])) + 90.0 - turn
+    azimuth = float(np.degrees(np.arctan2(across[1], across[0])) + 90.0 - turn)
     points = np.concatenate([a, b], axis=1)
     middle = 0.5 * (points.min(axis=1) + points.max(axis=1))
-    window = max(int(2 * fps), 1)
-    centre = uniform_filter1d(middle, min(window, len(middle)), axis=0, mode="nearest")
+    window = min(max(int(2 * fps), 1), len(middle))
+    centre = uniform_filter1d(middle, window, axis=0, mode="nearest")
     centre[:, 2] = np.median(middle[:, 2])
 
-    spread = points - centre[:, None]
-    heading = np.radians(azimuth)
-    sight = np.array([np.cos(heading), np.sin(heading)])
-    right = np.array([np.sin(heading), -np.cos(heading)])
-    wide = np.abs(spread[..., :2] @ right).max()
-    high = np.abs(spread[..., 2]).max()
-    near = np.abs(spread[..., :2] @ sight).max()
+    # A point at height v and depth w off the centre is in the picture from a distance of
+    # |v| / tan(fovy / 2) - w on; the widest in a sliding window is kept, so that zooming is slow.
+    path = CameraPath(centre, np.zeros(len(centre)), azimuth, elevation)
+    right, up, sight = path.axes()
+    offset = points - centre[:, None]
     tangent = np.tan(np.radians(fovy / 2))
-    distance = 1.12 * max(high / tangent, wide / (tangent * aspect)) + 0.6 * near
-    return CameraPath(centre, float(azimuth), elevation, float(distance))
+    needed = np.maximum(np.abs(offset @ up), np.abs(offset @ right) / aspect) / tangent
+    widest = (needed - offset @ sight).max(axis=1)
+    kept = maximum_filter1d(widest, 2 * window - 1, mode="nearest")
+    return replace(path, distance=MARGIN * uniform_filter1d(kept, window, mode="nearest"))
 
 
 def still(
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0), *, distance: float = 3.0
 ) -> CameraPath:
     """Return a camera that stands still for one moment."""
-    return CameraPath(np.array([centre]), 90.0, -12.0, distance)
+    return CameraPath(np.array([centre]), np.array([distance]), 90.0, -12.0)

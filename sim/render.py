@@ -138,7 +138,7 @@ class Painter:
         self._camera.lookat[:] = camera.centre[index]
         self._camera.azimuth = camera.azimuth
         self._camera.elevation = camera.elevation
-        self._camera.distance = camera.distance
+        self._camera.distance = camera.distance[index]
         self._renderer.update_scene(self._data, self._camera)
         return self._renderer.render()
 

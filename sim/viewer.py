@@ -11,10 +11,8 @@ import time
 from typing import Any
 
 import mujoco
-import numpy as np
 
 from robots.errors import RenderError
-from sim.camera import CameraPath
 from sim.clip import Clip
 
 log = logging.getLogger(__name__)
@@ -37,15 +35,8 @@ def _scene(clip: Clip, host: str, port: int) -> tuple[Any, Any]:
     scene = mjviser.ViserMujocoScene(server, clip.model, num_envs=1)
     camera = clip.camera(aspect=1.5)
     server.initial_camera.look_at = tuple(camera.centre[0])
-    server.initial_camera.position = tuple(eye(camera, 0))
+    server.initial_camera.position = tuple(camera.eye(0))
     return server, scene
-
-
-def eye(camera: CameraPath, index: int) -> np.ndarray:
-    """Return where the camera stands ``[3]`` m at a moment."""
-    heading, pitch = np.radians(camera.azimuth), np.radians(camera.elevation)
-    sight = [np.cos(pitch) * np.cos(heading), np.cos(pitch) * np.sin(heading), np.sin(pitch)]
-    return camera.centre[index] - camera.distance * np.array(sight)
 
 
 def html(clip: Clip) -> str:

@@ -105,13 +105,9 @@ def test_camera_keeps_walkers_in_view_however_far_they_go() -> None:
     corners = np.array([[-0.3, -0.3, 0], [0.3, 0.3, 1.8]])
     a, b = path + corners, path + corners + [0.0, -1.0, 0.0]
     camera = follow(a, b, fps=30, aspect=1.0, fovy=45.0)
-    heading, pitch = np.radians(camera.azimuth), np.radians(camera.elevation)
-    sight = np.array(
-        [np.cos(pitch) * np.cos(heading), np.cos(pitch) * np.sin(heading), np.sin(pitch)]
-    )
-    right = np.array([np.sin(heading), -np.cos(heading), 0])
-    up = np.cross(right, sight)
-    seen = np.concatenate([a, b], axis=1) - (camera.centre - camera.distance * sight)[:, None]
+    right, up, sight = camera.axes()
+    eyes = np.stack([camera.eye(i) for i in range(len(t))])
+    seen = np.concatenate([a, b], axis=1) - eyes[:, None]
     depth = seen @ sight
     reach = np.tan(np.radians(45 / 2))
     assert (np.abs(seen @ right) < depth * reach).all()
