@@ -94,14 +94,10 @@ class PtyServer:
 
     def serve(self) -> None:
         """Serve until :meth:`stop` is called from another thread or a signal handler."""
-        poll = select.poll()
-        poll.register(self._master, select.POLLIN)
-        poll.register(self._stop_read, select.POLLIN)
         while True:
-            wait = None
-            if self._due:
-                wait = max(0.0, self._due[0][0] - time.monotonic()) * 1e3
-            ready = {fd for fd, _ in poll.poll(wait)}
+            # select, not poll: its timeout is not rounded up to milliseconds.
+            wait = max(0.0, self._due[0][0] - time.monotonic()) if self._due else None
+            ready, _, _ = select.select((self._master, self._stop_read), (), (), wait)
             if self._stop_read in ready:
                 return
             now = time.monotonic()

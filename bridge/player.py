@@ -1,0 +1,142 @@
+"""Performs a duet: two checked trajectories, two robots, one clock.
+
+**The problem.** Metal moves the moment something is wrong. So the order is fixed, and nothing is
+skipped::
+
+    CHECKED     trajectories within limits, report passed, ports allowed      nothing is open yet
+    DISCOVERED  the right servos answer
+    CONFIGURED  torque off; mode, limits, gains, speed ceilings
+    ARMED       goal := present, read back; torque on; bus watchdog on
+    RAMP        minimum jerk from where they stand to the first pose
+    PLAY        goals at absolute times t0 + k dt, both robots from one phase
+    SETTLE      the last goal is held until the servos have arrived
+    RELAX       torque off, on every servo, whatever fails
+
+A stop follows the path with falling speed, then HOLD, then RELAX; a second stop relaxes at once.
+Any fault freezes both robots at their last goals (FAULT), then relaxes them. A late tick is left
+out, never caught up. What it promises and what it cannot is in ``SAFETY.md``.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from bridge.clock import Clock, MonotonicClock
+from bridge.performer import OnProgress, Performer
+from bridge.plan import plan
+from bridge.player_settings import PlayerSettings
+from bridge.ports import VIRTUAL, Connect, Ports, connect, ports_of
+from bridge.puppet import Puppet
+from bridge.stop import StopRequest
+from bridge.telemetry import Performance, Telemetry
+from bridge.trajectory import JointTrajectory
+from robots.errors import GateRefused, SpecError
+from robots.spec import RobotSpec
+
+PEOPLE = ("a", "b")
+
+
+class Passed(Protocol):
+    """Whatever knows whether a performance is plausible, for example a report."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether it may be performed."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """A verdict without a report."""
+
+    passed: bool
+    """Whether it may be performed."""
+
+
+def play(
+    trajectories: Sequence[JointTrajectory],
+    robots: Sequence[RobotSpec],
+    *,
+    gate: Passed,
+    ports: Sequence[Ports] = (VIRTUAL, VIRTUAL),
+    settings: PlayerSettings | None = None,
+    arm: bool = False,
+    force: bool = False,
+    telemetry: str | Path | None = None,
+    on_progress: OnProgress | None = None,
+    stop: threading.Event | None = None,
+    clock: Clock | None = None,
+    connector: Connect = connect,
+) -> Performance:
+    """Perform a duet and return how it went; a stop is no error.
+
+    Args:
+        trajectories: Of person a and b, on one clock.
+        robots: Who plays a and b.
+        gate: The plausibility verdict.
+        ports: Per robot ``"virtual"``, a device file, or a device file per bus name.
+        settings: How to play.
+        arm: Real ports are only used if this is set.
+        force: Perform even if the gate did not pass; on virtual ports alone.
+        telemetry: File for what happens, one JSON line per tick and robot.
+        on_progress: Told about the state and how much of it is done.
+        stop: Set to stop; a :class:`StopRequest` set twice relaxes at once.
+        clock: Gives the time and waits.
+        connector: Makes transports; tests put theirs here.
+
+    Raises:
+        LimitViolation: A trajectory does not fit its robot; nothing was opened.
+        GateRefused: The report did not pass, or real ports are not armed; nothing was opened.
+        BusError: Hardware failed; both robots were frozen and relaxed as far as that was possible.
+    """
+    settings = settings or PlayerSettings()
+    clock = clock or MonotonicClock()
+    if not len(trajectories) == len(robots) == len(ports) == len(PEOPLE):
+        raise SpecError("a duet has two trajectories, two robots and two ports")
+    parts = plan(trajectories, robots, speed=settings.speed)
+    wires = [ports_of(robot, port) for robot, port in zip(robots, ports, strict=True)]
+    _require_allowed(gate, wires, arm=arm, force=force)
+    with ExitStack() as stack:
+        file = stack.enter_context(Telemetry(telemetry))
+        puppets = []
+        for person, part, wire in zip(PEOPLE, parts, wires, strict=True):
+            transports = {
+                bus: connector(part.robot, bus, port, clock, stack) for bus, port in wire.items()
+            }
+            puppet = Puppet(person, part, transports)
+            stack.callback(puppet.close)
+            puppets.append(puppet)
+        performer = Performer(
+            puppets,
+            settings,
+            clock=clock,
+            file=file,
+            on_progress=on_progress,
+            stop=stop or StopRequest(),
+        )
+        return performer.run()
+
+
+def _require_allowed(
+    gate: Passed, wires: Sequence[dict[str, str]], *, arm: bool, force: bool
+) -> None:
+    real = sorted({port for wire in wires for port in wire.values() if port != VIRTUAL})
+    every = [port for wire in wires for port in wire.values() if port != VIRTUAL]
+    if len(real) < len(every):
+        raise SpecError("one port cannot serve two buses", where=", ".join(real))
+    if not gate.passed and not (force and not real):
+        raise GateRefused(
+            "the plausibility report did not pass",
+            allowed="a motion that passes; force works on virtual ports alone",
+            hint="see the report for the worst frames, or generate with another seed",
+        )
+    if real and not arm:
+        raise GateRefused(
+            f"{', '.join(real)} would move real servos",
+            hint="read SAFETY.md, clear the stage, then allow it with --arm",
+        )

@@ -1,0 +1,69 @@
+"""How to play: times, tolerances and bounds of a performance."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from robots.errors import SpecError
+
+
+@dataclass(frozen=True, slots=True)
+class PlayerSettings:
+    """How to play.
+
+    Raises:
+        SpecError: A value is out of its range.
+    """
+
+    rate: float | None = None
+    """Ticks per second; ``None`` for the slower of the robots' own cycles."""
+    speed: float = 1.0
+    """Speed of the dance; below 1 is slower."""
+    ramp_time: float = 2.0
+    """Shortest time to the first pose, s."""
+    ramp_speed: float = 0.2
+    """Share of a joint's no-load speed that the ramp may reach."""
+    settle_time: float = 0.5
+    """How long the last pose is held, s."""
+    stop_time: float = 0.5
+    """Time in which a stop slows down, s."""
+    hold_time: float = 0.5
+    """How long the pose is held after a stop or a fault before torque goes off, s."""
+    error_timeout: float = 0.3
+    """How long a servo may stay silent, s."""
+    watchdog: float = 0.5
+    """Silence after which servos stop by themselves, s; 0 for never."""
+    max_stall: float = 0.4
+    """How late a tick may be before the performance is given up, s."""
+    start_tolerance: float = math.radians(5)
+    """How far outside its limits a joint may stand at the start, rad."""
+    stray: float = 0.8
+    """How far from its goal a joint may be, rad ..."""
+    stray_time: float = 0.5
+    """... and for how long, s."""
+    health_period: float = 0.25
+    """Time between two looks at the slow registers, s."""
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        ranges = {
+            "rate": (1, 1000),
+            "speed": (0.01, 4),
+            "ramp_time": (0.1, 60),
+            "ramp_speed": (0.01, 1),
+            "settle_time": (0, 60),
+            "stop_time": (0.05, 10),
+            "hold_time": (0, 60),
+            "error_timeout": (0.02, 10),
+            "watchdog": (0, 2.54),
+            "max_stall": (0.02, 10),
+            "start_tolerance": (0, 0.5),
+            "stray": (0.05, 10),
+            "stray_time": (0.05, 10),
+            "health_period": (0.05, 60),
+        }
+        for name, (low, high) in ranges.items():
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:
+                raise SpecError(f"{name} is {value}", allowed=f"{low} to {high}")

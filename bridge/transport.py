@@ -1,0 +1,385 @@
+"""The narrow seam to a servo wire: (id, address, bytes). Default: dynamixel-sdk over pyserial.
+
+**The problem.** The maker's SDK is the reference client, but used as it stands it is not fit to
+move a robot (findings for 4.1.0): its reads spin a whole core; an unplugged adapter raises a bare
+``termios.error`` and leaves the port "in use" for ever; one absent servo in a sync read makes the
+answers of all the others unreachable; packets that need byte stuffing go out without; the alert bit
+is dropped; timeouts follow the wall clock; after a failed read, late bytes are taken for the next
+answer. All of it can be mended from outside, by an own port object and two overridden methods: the
+SDK itself stays as installed.
+
+:class:`Transport` is what :mod:`bridge.bus` needs; another client library fits behind it.
+"""
+
+from __future__ import annotations
+
+import logging
+import termios
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any, Literal, Protocol
+
+import dynamixel_sdk as sdk
+import serial
+
+from bridge.clock import Clock, MonotonicClock
+from bridge.packets import ALERT, ERROR_NAMES, MAX_LENGTH, stuff, unstuff
+from bridge.registers import model_name
+from robots.errors import BusCorrupt, BusError, BusTimeout, PortLost, ServoFault
+
+log = logging.getLogger(__name__)
+
+READ_WAIT = 0.005
+"""How long one read of the port blocks, s: the loop that reads wakes this often, no more."""
+PATIENCE = 0.012
+"""How long an answer may take beyond its time on the wire, s: an adapter's own delay and the
+operating system's, with a millisecond latency timer."""
+DRAIN_STEP, DRAIN_LIMIT = 0.002, 0.040
+"""After an error: the silence that counts as idle and how long to wait for it, s."""
+
+STATUS_OVERHEAD = 11
+"""Bytes of a status packet beside its data."""
+
+
+class Transport(Protocol):
+    """Sends instructions over one port; servos are ids, registers are addresses.
+
+    Every method raises only :class:`PortLost`, :class:`BusTimeout`, :class:`BusCorrupt` or
+    :class:`ServoFault`.
+    """
+
+    port: str
+
+    def open(self) -> None:
+        """Open the port."""
+        ...
+
+    def close(self) -> None:
+        """Close the port; never raises."""
+        ...
+
+    def ping(self, servo_id: int) -> int:
+        """Return the model number of a servo."""
+        ...
+
+    def read(self, servo_id: int, address: int, length: int) -> tuple[int, bytes]:
+        """Return (alert bit, data)."""
+        ...
+
+    def write(self, servo_id: int, address: int, data: bytes) -> int:
+        """Write and return the alert bit of the answer."""
+        ...
+
+    def sync_write(self, address: int, data: Mapping[int, bytes]) -> None:
+        """Write to several servos at once; nobody answers."""
+        ...
+
+    def sync_read_begin(self, address: int, length: int, ids: Sequence[int]) -> None:
+        """Ask several servos at once."""
+        ...
+
+    def sync_read_end(self) -> dict[int, tuple[int, bytes]]:
+        """Return (alert bit, data) of those that answered."""
+        ...
+
+
+class SerialPort(Protocol):
+    """The part of a pyserial port that is used."""
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that have arrived."""
+        ...
+
+    def read(self, size: int = 1, /) -> bytes:
+        """Return up to ``size`` bytes, waiting at most the port's timeout."""
+        ...
+
+    def write(self, data: Any, /) -> int | None:
+        """Send."""
+        ...
+
+    def reset_input_buffer(self) -> None:
+        """Forget what has arrived."""
+        ...
+
+    def close(self) -> None:
+        """Close."""
+        ...
+
+
+OpenSerial = Callable[[str, int], SerialPort]
+"""Opens a port by name at a bit rate."""
+
+
+def open_serial(port: str, baud: int) -> SerialPort:
+    """Open a real port: blocking reads, exclusive, the latency timer short where there is one."""
+    device = serial.Serial(
+        port, baud, timeout=READ_WAIT, write_timeout=0.5, exclusive=True, bytesize=serial.EIGHTBITS
+    )
+    try:
+        device.set_low_latency_mode(True)
+    except (AttributeError, OSError, ValueError, NotImplementedError, serial.SerialException):
+        log.debug("%s: no low-latency mode", port)
+    return device
+
+
+class _Port(sdk.PortHandler):
+    """The SDK's port object, with blocking reads and a clock that cannot be set."""
+
+    def __init__(self, name: str, baud: int, opener: OpenSerial, clock: Clock, patience: float):
+        super().__init__(name)
+        self.baudrate = baud
+        self._opener = opener
+        self._clock = clock
+        self._patience = patience
+
+    def setupPort(self, cflag_baud: int) -> Literal[True]:  # noqa: N802 - the SDK's name
+        self.ser = self._opener(self.port_name, self.baudrate)
+        self.is_open = True
+        self.is_using = False
+        self.tx_time_per_byte = 10_000.0 / self.baudrate
+        self.ser.reset_input_buffer()
+        return True
+
+    def getCFlagBaud(self, baudrate: int) -> int:  # noqa: N802 - the SDK's name
+        return baudrate
+
+    def getCurrentTime(self) -> float:  # noqa: N802 - the SDK's name
+        return self._clock.now() * 1e3
+
+    def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802 - the SDK's name
+        self.packet_start_time = self.getCurrentTime()
+        self.packet_timeout = self.tx_time_per_byte * packet_length + self._patience * 1e3
+
+    def isPacketTimeout(self) -> bool:  # noqa: N802 - the SDK's name
+        """Say so only if nothing has arrived meanwhile: a stalled host is not a silent servo."""
+        waited = self.getCurrentTime() - self.packet_start_time
+        if waited <= self.packet_timeout:
+            return False
+        if waited <= 3 * self.packet_timeout + 20 and self.ser.in_waiting:
+            return False
+        self.packet_timeout = 0.0
+        return True
+
+    def clear(self) -> None:
+        """Forget what has arrived."""
+        self.ser.reset_input_buffer()
+
+
+class _Packets(sdk.Protocol2PacketHandler):
+    """The SDK's packet handler with byte stuffing that reaches the wire and can be undone."""
+
+    def addStuffing(self, packet: list[int]) -> list[int]:  # noqa: N802 - the SDK's name
+        length = packet[5] | packet[6] << 8
+        body = stuff(bytes(packet[7 : 7 + length - 2]))
+        packet[7:] = [*body, 0, 0]
+        packet[5], packet[6] = (len(body) + 2) & 0xFF, (len(body) + 2) >> 8
+        return packet
+
+    def removeStuffing(self, packet: list[int]) -> list[int]:  # noqa: N802 - the SDK's name
+        length = packet[5] | packet[6] << 8
+        body = unstuff(bytes(packet[7 : 7 + length - 2]))
+        packet[7 : 7 + length - 2] = list(body)
+        packet[5], packet[6] = (len(body) + 2) & 0xFF, (len(body) + 2) >> 8
+        return packet
+
+
+class SdkTransport:
+    """A :class:`Transport` over the installed dynamixel-sdk (see the module's text)."""
+
+    def __init__(
+        self,
+        port: str,
+        baud: int,
+        *,
+        opener: OpenSerial = open_serial,
+        clock: Clock | None = None,
+        patience: float = PATIENCE,
+    ) -> None:
+        """Keep the settings; :meth:`open` opens.
+
+        Args:
+            port: Device file.
+            baud: bit/s.
+            opener: Gives the serial port.
+            clock: For timeouts.
+            patience: s that an answer may be late.
+        """
+        self.port = port
+        self._baud = baud
+        self._clock = clock or MonotonicClock()
+        self._opener = opener
+        self._patience = patience
+        self._device: _Port | None = None
+        self._packets = _Packets()
+        self._asked: tuple[int, tuple[int, ...]] = (0, ())
+
+    def open(self) -> None:
+        """Open the port.
+
+        Raises:
+            PortLost: It is not there, not allowed or taken.
+        """
+        device = _Port(self.port, self._baud, self._opener, self._clock, self._patience)
+        try:
+            device.openPort()
+        except (OSError, ValueError, termios.error, serial.SerialException) as error:
+            raise PortLost(
+                f"cannot be opened: {_reason(error)}",
+                where=self.port,
+                hint="is the adapter plugged in, and may you use it (group 'dialout')?",
+            ) from error
+        self._device = device
+
+    def close(self) -> None:
+        """Close the port; a port that is gone already is no error."""
+        device, self._device = self._device, None
+        if device is None:
+            return
+        try:
+            device.closePort()
+        except (OSError, termios.error, serial.SerialException) as error:
+            log.warning("%s: closing failed: %s", self.port, _reason(error))
+
+    def ping(self, servo_id: int) -> int:
+        """Return the model number of a servo."""
+        with self._guard(servo_id) as device:
+            number, result, error = self._packets.ping(device, servo_id)
+            self._check(servo_id, result, error)
+            return number
+
+    def read(self, servo_id: int, address: int, length: int) -> tuple[int, bytes]:
+        """Return (alert bit, data) of a read."""
+        with self._guard(servo_id) as device:
+            data, result, error = self._packets.readTxRx(device, servo_id, address, length)
+            self._check(servo_id, result, error)
+            if len(data) != length:
+                raise BusCorrupt(
+                    f"servo {servo_id} sent {len(data)} of {length} bytes", where=self.port
+                )
+            return error & ALERT, bytes(data)
+
+    def write(self, servo_id: int, address: int, data: bytes) -> int:
+        """Write and return the alert bit of the answer."""
+        with self._guard(servo_id) as device:
+            result, error = self._packets.writeTxRx(
+                device, servo_id, address, len(data), list(data)
+            )
+            self._check(servo_id, result, error)
+            return error & ALERT
+
+    def sync_write(self, address: int, data: Mapping[int, bytes]) -> None:
+        """Write to several servos with one packet."""
+        lengths = {len(value) for value in data.values()}
+        if len(lengths) != 1:
+            raise ValueError("a sync write needs data of one length")
+        params = [byte for servo_id, value in data.items() for byte in (servo_id, *value)]
+        if 4 * len(params) // 3 + 7 > MAX_LENGTH:
+            raise ValueError("too many servos for one sync write")
+        with self._guard() as device:
+            result = self._packets.syncWriteTxOnly(
+                device, address, lengths.pop(), params, len(params)
+            )
+            self._check(None, result, 0)
+
+    def sync_read_begin(self, address: int, length: int, ids: Sequence[int]) -> None:
+        """Ask several servos with one packet; :meth:`sync_read_end` takes their answers."""
+        self._asked = (length, tuple(ids))
+        with self._guard() as device:
+            result = self._packets.syncReadTx(device, address, length, list(ids), len(ids), False)
+            self._check(None, result, 0)
+
+    def sync_read_end(self) -> dict[int, tuple[int, bytes]]:
+        """Return (alert bit, data) of every servo that answered, by id.
+
+        Answers are matched by id, whatever their order; those of the wrong length, twice the same
+        or with a wrong checksum are dropped. Servos that did not answer are missing.
+        """
+        length, ids = self._asked
+        missing, answers = set(ids), {}
+        with self._guard() as device:
+            for _ in range(3 * len(ids) + 10):
+                if not missing:
+                    break
+                answer, result = self._packets.rxPacket(device, False)
+                if result == sdk.COMM_RX_TIMEOUT:
+                    break
+                if result != sdk.COMM_SUCCESS or answer[4] not in missing:
+                    continue
+                data = bytes(answer[9 : 7 + (answer[5] | answer[6] << 8) - 2])
+                if answer[8] & ~ALERT == 0 and len(data) == length:
+                    answers[answer[4]] = (answer[8] & ALERT, data)
+                    missing.discard(answer[4])
+            if missing:
+                self._drain()
+        return answers
+
+    @contextmanager
+    def _guard(self, servo_id: int | None = None) -> Iterator[_Port]:
+        """Turn every way in which the SDK or the port can fail into one of our errors."""
+        device = self._device
+        if device is None:
+            raise PortLost("is not open", where=self.port)
+        device.is_using = False
+        try:
+            yield device
+        except (BusTimeout, BusCorrupt):
+            self._drain()
+            raise
+        except IndexError as error:
+            self._drain()
+            who = f" from servo {servo_id}" if servo_id is not None else ""
+            raise BusCorrupt(f"an answer{who} was not a packet", where=self.port) from error
+        except (OSError, termios.error, serial.SerialException) as error:
+            raise self._lost(error) from error
+        finally:
+            device.is_using = False
+
+    def _lost(self, error: BaseException) -> PortLost:
+        return PortLost(
+            f"has gone away: {_reason(error)}",
+            where=self.port,
+            hint="check the cable and the adapter, then start again",
+        )
+
+    def _check(self, servo_id: int | None, result: int, error: int) -> None:
+        """Raise for a result or an error byte of the SDK; the alert bit alone is no error."""
+        who = f"servo {servo_id}" if servo_id is not None else "the bus"
+        if result == sdk.COMM_RX_TIMEOUT:
+            raise BusTimeout(
+                f"no answer from {who}", where=self.port, hint="check power, cable, id and baud"
+            )
+        if result == sdk.COMM_RX_CORRUPT:
+            raise BusCorrupt(f"a damaged answer from {who}", where=self.port)
+        if result != sdk.COMM_SUCCESS:
+            raise BusError(f"could not send to {who} (code {result})", where=self.port)
+        code = error & ~ALERT
+        if code:
+            reason = ERROR_NAMES.get(code, f"error {code}")
+            raise ServoFault(f"{who} refused: {reason}", where=self.port)
+
+    def _drain(self) -> None:
+        """Wait until the line is silent: a late answer must not pass for the next one."""
+        device = self._device
+        if device is None:
+            return
+        try:
+            deadline = self._clock.now() + DRAIN_LIMIT
+            while True:
+                self._clock.sleep_until(self._clock.now() + DRAIN_STEP)
+                if not device.ser.in_waiting or self._clock.now() >= deadline:
+                    break
+                device.clear()
+            device.clear()
+        except (OSError, termios.error, serial.SerialException) as error:
+            raise self._lost(error) from error
+
+
+def describe_model(number: int) -> str:
+    """Return a model number with its name, for messages."""
+    return f"{model_name(number)} ({number})"
+
+
+def _reason(error: BaseException) -> str:
+    return (error.strerror if isinstance(error, OSError) else None) or str(error) or repr(error)
