@@ -15,6 +15,7 @@ import json
 import math
 import os
 import struct
+import sys
 import tempfile
 import zipfile
 import zlib
@@ -261,6 +262,12 @@ def parse_npy(data: bytes, *, where: str) -> NDArray[Any]:
             where=where,
         )
     try:
+        if (
+            dtype.kind == "U"
+        ):  # numpy passes impossible characters on, and Python stumbles over them
+            codes = np.frombuffer(data, f"{dtype.byteorder}u4", offset=stream.tell())
+            if codes.max(initial=0) > sys.maxunicode:
+                raise MotionFileError("a text is not Unicode", where=where)
         array = np.frombuffer(data, dtype, offset=stream.tell())
         return array.reshape(shape, order="F" if fortran else "C").copy()
     except (ValueError, TypeError, OverflowError) as error:  # empty texts, absurd dimensions

@@ -150,7 +150,7 @@ class _Header:
         return value
 
     def seed(self) -> int | None:
-        value = self._values.get("seed")
+        value = self._values.get("seed", "missing")
         if value is not None and (not isinstance(value, int) or isinstance(value, bool)):
             raise self._wrong("seed", "a whole number or null")
         return value
