@@ -33,13 +33,10 @@ from generator.kinematics import (
 )
 from generator.motion import Motion
 from robots.skeleton import FloatArray, Skeleton
+from sim.footing import smoothstep, standing
 
 _OWN_ROTATIONS_ERROR = 0.02
 """Mean distance, m, up to which a motion's own rotations are believed."""
-_STILL = 0.3
-"""Speed below which a foot counts as standing, m/s."""
-_LOW = 0.03
-"""Height above its usual lowest below which a foot counts as standing, m."""
 _PITCH = np.radians([5.0, 60.0])
 """Range of the angle of the ankle-to-toe bone below the horizontal in a flat foot."""
 
@@ -60,12 +57,6 @@ def fit_person(motion: Motion) -> tuple[Skeleton, FloatArray]:
     skeleton = _level_rest_feet(skeleton, motion)
     rotations = fit_rotations(skeleton, points)
     return skeleton, continuous(_plant_feet(skeleton, points, rotations))
-
-
-def standing(path: NDArray, fps: float) -> NDArray[np.bool_]:
-    """Return in which frames ``[T]`` a foot's keypoint ``[T, 3]`` m is low and still."""
-    speed = np.linalg.norm(np.gradient(path, axis=0), axis=1) * fps
-    return (speed < _STILL) & (path[:, 2] < np.percentile(path[:, 2], 5) + _LOW)
 
 
 def _refine_branches(skeleton: Skeleton, points: NDArray) -> Skeleton:
@@ -102,7 +93,7 @@ def _plant_feet(skeleton: Skeleton, points: NDArray, rotations: NDArray) -> Floa
     for side in ("left", "right"):
         knee, ankle, toe = (skeleton.index(f"{side}_{n}") for n in ("knee", "ankle", "foot"))
         height = points[:, toe, 2] - np.percentile(points[:, toe, 2], 5)
-        near = 1 - _smoothstep((height - _LOW) / 0.12)
+        near = 1 - smoothstep((height - 0.03) / 0.12)
         axis = frames[ankle].apply(unit(skeleton.offsets[toe]))
         across = frames[ankle].apply([0.0, 1.0, 0.0])
         roll = np.arctan2(-across[:, 2], np.cross(axis, across)[:, 2])
@@ -113,8 +104,3 @@ def _plant_feet(skeleton: Skeleton, points: NDArray, rotations: NDArray) -> Floa
         bend = np.clip(down, 0.0, np.pi / 3) * near
         rotations[:, toe] = to_wxyz(Rotation.from_rotvec(-bend[:, None] * [0.0, 1.0, 0.0]))
     return rotations
-
-
-def _smoothstep(x: NDArray) -> FloatArray:
-    x = np.clip(x, 0.0, 1.0)
-    return x * x * (3 - 2 * x)

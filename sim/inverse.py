@@ -25,11 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from generator.kinematics import global_rotations
+from generator.kinematics import forward_kinematics, global_rotations
 from robots.humanoid import HumanBody
 from robots.skeleton import FloatArray
 from sim.controllers.base import quiet_mujoco, reference_qvel
-from sim.reference import FOOT_BODIES, Reference
+from sim.footing import FOOT_BODIES, sole_corners
+from sim.reference import Reference
 from sim.scene import GRAVITY, Scene
 
 FRICTION = 0.8
@@ -68,10 +69,11 @@ def inverse_dynamics(scene: Scene, reference: Reference, smoothing: float = 0.03
     torques, residuals, supports = [], [], []
     for p, (body, at) in enumerate(zip(scene.bodies, scene.maps, strict=True)):
         frames = global_rotations(body.skeleton, reference.rotations[:, p])
-        points = _positions(body, reference.root[:, p], frames)
+        root, turns = reference.root[:, p], reference.rotations[:, p]
+        points = forward_kinematics(body.skeleton, root, turns)
         force = generalised[:, at.root_dof : at.root_dof + 3]
         moment = frames[0].apply(generalised[:, at.dofs[0]])
-        corners, owner = _corners(body, points, frames)
+        corners = sole_corners(body, root, turns).reshape(len(root), -1, 3)
         pushes = _floor_forces(
             corners - points[:, :1],
             np.concatenate([force, moment], axis=1),
@@ -79,7 +81,7 @@ def inverse_dynamics(scene: Scene, reference: Reference, smoothing: float = 0.03
             body.weight * GRAVITY,
         )
         torque = generalised[:, at.dofs[1:]]
-        torque = torque - _felt_at_joints(body, points, frames, corners, owner, pushes)
+        torque = torque - _felt_at_joints(body, points, frames, corners, pushes)
         lever = np.cross(corners - points[:, :1], pushes)
         residual = np.concatenate([force - pushes.sum(axis=1), moment - lever.sum(axis=1)], axis=1)
         torques.append(gaussian_filter1d(torque, sigma, axis=0))
@@ -103,27 +105,6 @@ def _free_forces(scene: Scene, qpos: NDArray, qvel: NDArray, qacc: NDArray) -> F
             mujoco.mj_inverse(model, data)
             out[t] = data.qfrc_inverse
     return out
-
-
-def _positions(body: HumanBody, root: NDArray, frames: list) -> FloatArray:
-    """Return keypoints ``[N, J, 3]`` m from the root and global rotations."""
-    points = np.empty((len(root), len(frames), 3))
-    points[:, 0] = root
-    for j, parent in enumerate(body.skeleton.parents[1:], start=1):
-        offset = body.skeleton.offsets[j].copy()
-        points[:, j] = points[:, parent] + frames[parent].apply(offset)
-    return points
-
-
-def _corners(body: HumanBody, points: NDArray, frames: list) -> tuple[FloatArray, list[int]]:
-    """Return sole corners ``[N, 16, 3]`` m, world, and which keypoint's body each belongs to."""
-    corners, owner = [], []
-    for name in FOOT_BODIES:
-        j = body.skeleton.index(name)
-        for corner in body.sole_corners(name):
-            corners.append(points[:, j] + frames[j].apply(corner))
-            owner.append(j)
-    return np.stack(corners, axis=1), owner
 
 
 def _cost(corners: NDArray, rate: float) -> FloatArray:
@@ -171,12 +152,12 @@ def _felt_at_joints(
     points: NDArray,
     frames: list,
     corners: NDArray,
-    owner: list[int],
     pushes: NDArray,
 ) -> FloatArray:
     """Return the torques ``[N, J-1, 3]`` N m that floor forces exert at the joints above them."""
     out = np.zeros((len(points), len(body.skeleton) - 1, 3))
-    for c, j in enumerate(owner):
+    for c in range(corners.shape[1]):
+        j = body.skeleton.index(FOOT_BODIES[c // 4])
         while j > 0:
             out[:, j - 1] += np.cross(corners[:, c] - points[:, j], pushes[:, c])
             j = body.skeleton.parents[j]

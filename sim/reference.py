@@ -9,18 +9,12 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
-from generator.kinematics import from_wxyz, global_rotations
+from generator.kinematics import from_wxyz
 from generator.motion import DuetMotion, Motion
 from robots.humanoid import HumanBody
 from robots.skeleton import FloatArray
-from sim.fitting import fit_person, standing
-
-MAX_GROUND_SHIFT = 0.10
-"""A floor found further off than this, m, is not sloppy calibration: nothing is shifted."""
-
-FOOT_BODIES = ("left_ankle", "left_foot", "right_ankle", "right_foot")
-"""Keypoints whose bodies carry the boxes of the feet."""
-
+from sim.fitting import fit_person
+from sim.footing import clear_floor, ground_shift
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
@@ -38,6 +32,8 @@ class Reference:
     """The two people."""
     ground_shift: tuple[float, float]
     """How far each was lifted so that its standing soles are on the floor, m."""
+    foot_lift: tuple[float, float]
+    """Most that a swinging foot of each was lifted to clear the floor, m."""
 
     @property
     def times(self) -> FloatArray:
@@ -75,6 +71,7 @@ def make_reference(
     rate: float = 60.0,
     smoothing: float = 0.02,
     ground: bool = True,
+    clear: bool = True,
     weights: tuple[float | None, float | None] = (None, None),
 ) -> Reference:
     """Return the poses of a motion at control rate.
@@ -84,22 +81,29 @@ def make_reference(
         rate: Samples per second.
         smoothing: Standard deviation of the Gaussian low-pass, s; 0 leaves poses as they are.
         ground: Whether to lift or lower each person so that standing soles meet the floor.
+        clear: Whether to lift swinging feet clear of the floor.
         weights: Body masses, kg; ``None`` takes the default for the stature.
     """
     count = int(np.ceil(motion.duration * rate - 1e-9)) + 1
     times = np.minimum(np.arange(count) / rate, motion.duration)
-    roots, rotations, points, bodies, shifts = [], [], [], [], []
+    roots, rotations, points, bodies, shifts, lifts = [], [], [], [], [], []
     for person, weight in zip(motion.people, weights, strict=True):
         skeleton, turns = fit_person(person)
         body = HumanBody.of(skeleton, weight)
-        lift = ground_shift(person, body, turns) if ground else 0.0
-        up = np.array([0.0, 0.0, lift])
+        path = person.keypoints[:, 0]
+        shift = ground_shift(body, path, turns, person.fps) if ground else 0.0
+        up = np.array([0.0, 0.0, shift])
         sigma = smoothing * motion.fps
-        roots.append(_resample(person, person.keypoints[:, 0] + up, times, sigma))
-        rotations.append(_unit(_resample(person, turns, times, sigma)))
+        root = _resample(person, path + up, times, sigma)
+        turns, lift = _unit(_resample(person, turns, times, sigma)), 0.0
+        if clear:
+            turns, lift = clear_floor(body, root, turns, rate)
+        roots.append(root)
+        rotations.append(turns)
         points.append(_resample(person, person.keypoints + up, times, 0.0))
         bodies.append(body)
-        shifts.append(lift)
+        shifts.append(shift)
+        lifts.append(lift)
     return Reference(
         rate,
         np.stack(roots, axis=1),
@@ -107,37 +111,8 @@ def make_reference(
         np.stack(points, axis=1),
         (bodies[0], bodies[1]),
         (shifts[0], shifts[1]),
+        (lifts[0], lifts[1]),
     )
-
-
-def ground_shift(person: Motion, body: HumanBody, rotations: NDArray) -> float:
-    """Return how far to lift a person, m, so that the soles are on the floor where they stand.
-
-    The median, over the frames in which a foot stands, of the height of the lowest sole corner: one
-    constant for the clip, because a changing one would move the person up and down. 0 if no foot
-    ever stands, or if the floor would be further off than :data:`MAX_GROUND_SHIFT`.
-    """
-    low = sole_heights(person, body, rotations)
-    lowest = low.min(axis=1)
-    stands = np.zeros(person.frames, dtype=bool)
-    for i, name in enumerate(FOOT_BODIES):
-        stands |= standing(person.point(name), person.fps) & (low[:, i] < lowest + 0.02)
-    if not stands.any():
-        return 0.0
-    shift = -float(np.median(lowest[stands]))
-    return shift if abs(shift) <= MAX_GROUND_SHIFT else 0.0
-
-
-def sole_heights(person: Motion, body: HumanBody, rotations: NDArray) -> FloatArray:
-    """Return the height ``[T, 4]`` m of the lowest corner of each of :data:`FOOT_BODIES`."""
-    frames = global_rotations(body.skeleton, rotations)
-    heights = np.empty((person.frames, len(FOOT_BODIES)))
-    for i, name in enumerate(FOOT_BODIES):
-        j = body.skeleton.index(name)
-        up = frames[j].inv().apply([0.0, 0.0, 1.0])
-        corners = up @ body.sole_corners(name).T
-        heights[:, i] = person.keypoints[:, j, 2] + corners.min(axis=1)
-    return heights
 
 
 def _resample(person: Motion, values: NDArray, times: NDArray, sigma: float) -> FloatArray:
