@@ -5,6 +5,7 @@ Torch-free. ``choreograph("handshake", seed=1)`` returns a :class:`~generator.mo
 
 from generator.choreographer import dances, encounters, greetings
 from generator.choreographer.compose import LICENCE, SOURCE, choreograph
+from generator.choreographer.from_text import generate
 from generator.choreographer.interaction import Interaction, lookup, repertoire
 from generator.choreographer.style import Style, style_ranges
 
@@ -18,6 +19,7 @@ __all__ = [
     "Interaction",
     "Style",
     "choreograph",
+    "generate",
     "lookup",
     "repertoire",
     "style_ranges",

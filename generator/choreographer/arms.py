@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 from numpy.typing import NDArray
 
 from generator.choreographer.frames import apply, pitch, roll, two_bones, unapply, yaw
 from generator.choreographer.pose import Pose
-from generator.choreographer.role import ELBOW_DOWN, Build, Meeting, Reach, outward
-from generator.choreographer.style import Side
-from generator.choreographer.trunk import SIDES, hand_swing
+from generator.choreographer.role import Build, Meeting, Reach, outward
+from generator.choreographer.style import SIDES, Side
+from generator.choreographer.trunk import hand_swing
 from generator.kinematics import unit
 from robots.skeleton import FloatArray
 
@@ -27,9 +29,10 @@ Pair = tuple[Pose, Pose]
 
 def pose_arms(pair: Pair) -> None:
     """Bring all four hands to their goals."""
-    aims = [(pose, side, *_aim(pair, i, side)) for i, pose in enumerate(pair) for side in SIDES]
-    for aim in aims:  # only now: shoulders follow their hands, and goals hang on shoulders
-        _pose_arm(*aim)
+    aims = [_aim(pair, index, side) for index, side in product((0, 1), SIDES)]
+    # Only now: shoulders follow their hands, and goals hang on shoulders.
+    for (index, side), aim in zip(product((0, 1), SIDES), aims, strict=True):
+        _pose_arm(pair[index], side, *aim)
 
 
 def goal_of(pair: Pair, index: int, reach: Reach) -> FloatArray:
@@ -97,7 +100,8 @@ def _level_reach(tops: list[float], builds: tuple[Build, Build]) -> tuple[float,
     """Return the lowest and the highest meeting that neither arm has to strain for, m."""
     low = max(top - 0.72 * build.arm for top, build in zip(tops, builds, strict=True))
     high = min(top + 0.55 * build.arm for top, build in zip(tops, builds, strict=True))
-    return (low, high) if low <= high else (0.5 * (low + high),) * 2
+    middle = 0.5 * (low + high)
+    return (low, high) if low <= high else (middle, middle)
 
 
 def extension(pair: Pair) -> float:
@@ -132,7 +136,7 @@ def _aim(pair: Pair, index: int, side: Side) -> tuple[FloatArray, FloatArray]:
 
 
 def _arc(pose: Pose, side: Side, way: NDArray, weight: NDArray) -> FloatArray:
-    """Return a bulge of a hand's way ``[T, 3]`` m, forward and outward, so that it clears the body."""
+    """Return a bulge ``[T, 3]`` m, forward and outward, by which a hand clears the own body."""
     far = np.linalg.norm(way, axis=1)
     far = far / (1.0 + far / pose.role.build.arm)
     bulge = 0.35 * far * 4.0 * (weight * (1.0 - weight)) ** 1.5
@@ -191,6 +195,3 @@ def within_reach(span: NDArray, arm: float) -> FloatArray:
     under = knee - margin * np.tanh((knee - length) / margin)
     bounded = np.where(length > LONGEST, over, np.where(length < knee, under, length))
     return span * (bounded / np.maximum(length, 1e-9))[:, None]
-
-
-__all__ = ["ELBOW_DOWN", "extension", "goal_of", "meeting_points", "pose_arms", "within_reach"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,7 +31,7 @@ def through(times: NDArray, knots: Sequence[tuple[float, ArrayLike]]) -> FloatAr
     """Return the curve ``[T, ...]`` that comes to rest at each ``(time, value)`` in turn."""
     value = np.asarray(knots[0][1], dtype=float)
     out = np.broadcast_to(value, (len(times), *value.shape)).copy()
-    for (start, before), (end, after) in zip(knots, knots[1:], strict=False):
+    for (start, before), (end, after) in pairwise(knots):
         course = rise(times, start, end).reshape(-1, *[1] * value.ndim)
         out += course * (np.asarray(after, dtype=float) - np.asarray(before, dtype=float))
     return out

@@ -10,7 +10,7 @@ from generator.choreographer.interaction import interaction
 from generator.choreographer.role import outward
 from generator.choreographer.spacing import Apart, ByReach, ByTouch
 from generator.choreographer.stage import PALM_TO_PALM, Stage
-from generator.choreographer.style import Side
+from generator.choreographer.style import FACING, SIDES, Side
 from robots.skeleton import FloatArray
 
 
@@ -55,7 +55,7 @@ def circle_dance(stage: Stage) -> None:
     for role in stage.people:
         role.lean -= 0.05 * stage.style.energy * going
         role.crouch += 0.01 * going
-    for side, other in (("left", "right"), ("right", "left")):
+    for side, other in FACING:
         shift = np.zeros((len(times), 3))
         shift[:, 1] = 0.06 * outward(side)
         shift[:, 2] = bob
@@ -83,7 +83,7 @@ def mirror_dance(stage: Stage) -> None:
     size = stage.style.amplitude
     low, high = (0.18, 0.10, -0.20), (0.38, 0.20 + 0.25 * size, 0.10 + 0.38 * size)
     poses: dict[Side, list[FloatArray]] = {
-        side: [stage.rng.uniform(low, high) for _ in moments] for side in ("left", "right")
+        side: [stage.rng.uniform(low, high) for _ in moments] for side in SIDES
     }
     sway = [stage.pick(-0.12, 0.12) * size for _ in moments]
     turns = [stage.pick(-0.25, 0.25) * size for _ in moments]
@@ -95,7 +95,7 @@ def mirror_dance(stage: Stage) -> None:
         )
         role.tilt += sign * on * through(clock, list(zip(moments, sway, strict=True)))
         role.twist += sign * on * through(clock, list(zip(moments, turns, strict=True)))
-        for side in ("left", "right"):
+        for side in SIDES:
             own: Side = _other(side) if mirrored else side
             offsets = through(clock, list(zip(moments, poses[side], strict=True)))
             role.gesture(own, offsets, on, elbow=(-0.2, 0.8, -0.8))
@@ -137,8 +137,8 @@ def waltz(stage: Stage) -> None:
     stage.lay_on(
         stage.first,
         "right",
-        "spine2",
-        (-0.04, 0.155, -0.02),
+        "spine3",
+        (0.0, 0.165, -0.04),
         on=on,
         start=start,
         end=end,

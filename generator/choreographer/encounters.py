@@ -9,7 +9,7 @@ from generator.choreographer.interaction import interaction
 from generator.choreographer.role import outward
 from generator.choreographer.spacing import ByReach, ByTouch
 from generator.choreographer.stage import PALM_TO_PALM, Span, Stage
-from generator.choreographer.style import Side
+from generator.choreographer.style import FACING, SIDES, Side
 
 BOX_DEPTH = 0.12
 """Depth of the object that is handed over, m; hands hold it by its sides."""
@@ -36,27 +36,27 @@ def hug(stage: Stage) -> None:
         role.lean += 0.16 * on
         role.tilt -= 0.08 * on
         role.gaze -= 0.9 * on
-        for side, height in (("right", 0.12), ("left", -0.10)):
-            role.gesture(side, (0.34, 0.44, height), opening, elbow=(-0.2, 1.0, -0.4))
+        for side, height in zip(SIDES, (-0.24, 0.30), strict=True):
+            role.gesture(side, (0.32, 0.42, height), opening, elbow=(-0.2, 1.0, -0.2))
         stage.lay_on(
             role,
             "right",
-            "left_collar",
-            (-0.09, 0.03, 0.09),
+            "spine3",
+            (-0.12, 0.08, 0.16),
             on=held,
             start=beat.prepare.at(0.8),
             end=beat.depart.at(0.3),
-            elbow=(0.1, 1.0, 0.3),
+            elbow=(0.0, 1.0, 0.4),
         )
         stage.lay_on(
             role,
             "left",
             "spine2",
-            (-0.13, -0.09, -0.05),
+            (-0.12, -0.11, -0.05),
             on=held,
             start=beat.prepare.at(0.8),
             end=beat.depart.at(0.3),
-            elbow=(0.0, 1.0, -0.9),
+            elbow=(0.0, 0.7, -1.0),
         )
 
 
@@ -69,7 +69,7 @@ def push(stage: Stage) -> None:
     hands = window(
         stage.times, beat.prepare.start, beat.contact.start, beat.hold.end, beat.release.end
     )
-    for side in ("left", "right"):
+    for side in SIDES:
         stage.lay_on(
             first,
             side,
@@ -87,7 +87,7 @@ def push(stage: Stage) -> None:
     second.path[:, 0] += far * rise(stage.times, blow, blow + 1.2)
     recoil = window(stage.times, blow, blow + 0.35, blow + 0.5, blow + 1.3)
     second.lean -= 0.16 * stage.style.energy * recoil
-    for side in ("left", "right"):
+    for side in SIDES:
         second.gesture(side, (0.25, 0.42, -0.05), recoil, elbow=(-0.6, 0.8, -0.6))
 
 
@@ -147,10 +147,10 @@ def pass_object(stage: Stage) -> None:
     times = stage.times
     carry = (0.30, BOX_HALF_WIDTH, -0.14)
     has_it = 1.0 - rise(times, beat.hold.start, beat.release.start)
-    for side in ("left", "right"):
+    for side in SIDES:
         first.gesture(side, carry, has_it, elbow=(-0.5, 0.5, -1.0))
         second.gesture(side, carry, 1.0 - has_it, elbow=(-0.5, 0.5, -1.0))
-    for side, other in (("left", "right"), ("right", "left")):
+    for side, other in FACING:
         shift = np.zeros((len(times), 3))
         shift[:, 1] = outward(side) * (BOX_HALF_WIDTH - 0.18) / stage.scale
         stage.meet(

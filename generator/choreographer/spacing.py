@@ -54,9 +54,9 @@ Spacing = ByReach | ByTouch | Apart
 def solve(spacing: Spacing, attempt: Attempt) -> tuple[Stage, Pair]:
     """Return the performance at the right distance.
 
-    Extension grows and gaps grow with the distance, so each question has one answer, found by
-    Brent's method: the farthest distance at which hands still meet at ease, unless bodies are then too
-    close, and the nearest at which bodies do not press.
+    Extension and gaps grow with the distance, so each question has one answer, found by Brent's
+    method: the distance at which hands still meet at ease, unless bodies are then too close, or the
+    distance at which bodies just touch.
     """
     stage, pair = attempt(1.0)
     if isinstance(spacing, Apart):
@@ -87,7 +87,7 @@ def _root(excess: Callable[[float], float], tolerance: float = 0.003) -> float:
         return NEAREST
     if high <= 0.0:
         return FARTHEST
-    return float(brentq(excess, NEAREST, FARTHEST, xtol=tolerance))
+    return float(brentq(excess, NEAREST, FARTHEST, xtol=tolerance))  # type: ignore[arg-type]
 
 
 def pose_trunks(stage: Stage) -> Pair:

@@ -9,6 +9,9 @@ from typing import Literal
 from robots.errors import SpecError
 
 Side = Literal["left", "right"]
+SIDES: tuple[Side, Side] = ("left", "right")
+FACING: tuple[tuple[Side, Side], ...] = (("left", "right"), ("right", "left"))
+"""Hands that lie opposite each other when two people face each other."""
 
 _RANGES = {
     "speed": (0.6, 1.4),

@@ -18,7 +18,7 @@ from generator.choreographer.footsteps import Foot, foot_path, plan_steps
 from generator.choreographer.frames import apply, pitch, roll, two_bones, unapply, yaw
 from generator.choreographer.pose import Pose
 from generator.choreographer.role import Role
-from generator.choreographer.style import Side
+from generator.choreographer.style import SIDES, Side
 from generator.kinematics import unit
 from robots.skeleton import FloatArray
 
@@ -29,13 +29,12 @@ LEAN_SHARE = {"pelvis": 0.35, "spine1": 0.25, "spine2": 0.25, "spine3": 0.15}
 TWIST_SHARE = {"pelvis": 0.0, "spine1": 0.3, "spine2": 0.3, "spine3": 0.4}
 COUNTERWEIGHT = 0.17
 """How far the pelvis moves back for a trunk bent level, m: keeps the mass above the feet."""
-SIDES: tuple[Side, Side] = ("left", "right")
 
 
 def pose_trunk(role: Role, energy: float = 1.0) -> Pose:
     """Return a pose with feet, legs and trunk; head and arms still hang from the upper spine."""
     steps = plan_steps(role)
-    feet = {side: foot_path(role, steps, side, lift=energy) for side in SIDES}
+    feet: dict[Side, Foot] = {s: foot_path(role, steps, s, lift=energy) for s in SIDES}
     pose = Pose(role, feet)
     ahead = _foot_ahead(role, feet)
     pelvis = (

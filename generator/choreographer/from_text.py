@@ -1,0 +1,38 @@
+"""From a sentence to a two-person motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from generator.choreographer.compose import choreograph
+from generator.motion import DuetMotion
+
+if TYPE_CHECKING:
+    from generator.text import SentenceEncoder, Understanding
+
+
+def generate(
+    text: str,
+    *,
+    seed: int = 0,
+    nearest: bool = False,
+    encoder: SentenceEncoder | None = None,
+) -> tuple[DuetMotion, Understanding]:
+    """Return a motion for a sentence, and what the sentence was taken to mean.
+
+    Args:
+        text: What two people do, in English.
+        seed: Decides what the sentence leaves open; the same seed gives the same motion.
+        nearest: Take the nearest interaction if the repertoire does not hold what is asked for.
+        encoder: Sentence encoder; the one that ships by default.
+
+    Raises:
+        PromptError: The repertoire does not hold what the sentence asks for.
+        CheckpointError: The encoder that ships is missing or damaged.
+    """
+    from generator.text import choose  # the text package takes Style from this one
+
+    meaning = choose(text, nearest=nearest, encoder=encoder)
+    motion = choreograph(meaning.interaction, seed=seed, style=meaning.style)
+    return replace(motion, text=text), meaning

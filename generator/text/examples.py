@@ -1,0 +1,73 @@
+"""Example sentences of the repertoire, with their vectors of meaning.
+
+After a change of ``data/repertoire.toml``: ``python -m generator.text.prepare``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from generator.text.encoder import FloatVectors, SentenceEncoder
+from robots.errors import MotionFileError
+from robots.files import read_archive, write_archive
+
+OUTSIDE = "outside"
+"""Label of sentences that ask for nothing in the repertoire."""
+VECTORS_FILE = "data/repertoire.npz"
+"""Vectors of the example sentences under the encoder that ships; saves a second or two per run."""
+
+
+@dataclass(frozen=True, slots=True)
+class Examples:
+    """Labelled sentences."""
+
+    sentences: tuple[str, ...]
+    """The sentences."""
+    labels: tuple[str, ...]
+    """Interaction of each, or :data:`OUTSIDE`."""
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the content, in hex."""
+        text = "\n".join(f"{n}\t{s}" for n, s in zip(self.labels, self.sentences, strict=True))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+@cache
+def examples() -> Examples:
+    """Return the examples of ``data/repertoire.toml``."""
+    text = resources.files("generator.text").joinpath("data/repertoire.toml").read_text("utf-8")
+    data = tomllib.loads(text)
+    pairs = [(name, s) for name, group in data["interactions"].items() for s in group]
+    pairs += [(OUTSIDE, s) for s in data["outside"]["sentences"]]
+    return Examples(tuple(s for _, s in pairs), tuple(n for n, _ in pairs))
+
+
+def encode_examples(encoder: SentenceEncoder) -> FloatVectors:
+    """Return the vectors ``[N, D]`` of :func:`examples`, in the precision in which they ship."""
+    return encoder.encode(examples().sentences).astype(np.float16).astype(np.float32)
+
+
+def shipped_vectors() -> FloatVectors | None:
+    """Return the vectors that ship, or ``None`` if they are not of today's sentences."""
+    with resources.as_file(resources.files("generator.text").joinpath(VECTORS_FILE)) as path:
+        try:
+            header, arrays = read_archive(path)
+        except MotionFileError:
+            return None
+    if header is None or header.get("digest") != examples().digest or "vectors" not in arrays:
+        return None
+    return arrays["vectors"].astype(np.float32)
+
+
+def write_vectors(encoder: SentenceEncoder, path: str | Path) -> None:
+    """Write the vectors of :func:`examples` to a file; for use after the sentences changed."""
+    vectors = encode_examples(encoder).astype(np.float16)
+    write_archive(path, {"digest": examples().digest}, {"vectors": vectors})
