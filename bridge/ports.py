@@ -8,8 +8,7 @@ from contextlib import ExitStack
 from bridge.clock import Clock
 from bridge.lock import PortLock
 from bridge.transport import SdkTransport, Transport
-from bridge.virtual.build import virtual_bus_for
-from bridge.virtual.pty import PtyServer
+from bridge.virtual.process import virtual_port
 from robots.errors import SpecError, nearest
 from robots.spec import RobotSpec
 
@@ -57,8 +56,7 @@ def connect(robot: RobotSpec, bus: str, port: str, clock: Clock, stack: ExitStac
     """
     spec = robot.buses[bus]
     if port == VIRTUAL:
-        server = PtyServer(virtual_bus_for(robot, bus), timing=True)
-        port = stack.enter_context(server).port
+        port = stack.enter_context(virtual_port(robot, bus))
     else:
         stack.enter_context(PortLock(port))
     if spec.protocol != 2.0:

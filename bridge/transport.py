@@ -23,7 +23,7 @@ import dynamixel_sdk as sdk
 import serial
 
 from bridge.clock import Clock, MonotonicClock
-from bridge.packets import ALERT, ERROR_NAMES, MAX_LENGTH, stuff, unstuff
+from bridge.packets import ALERT, ERROR_NAMES, MAX_LENGTH, STATUS, Parser, stuff, unstuff
 from bridge.registers import model_name
 from robots.errors import BusCorrupt, BusError, BusTimeout, PortLost, ServoFault
 
@@ -133,13 +133,14 @@ class _Port(sdk.PortHandler):
         self._opener = opener
         self._clock = clock
         self._patience = patience
+        self._received = bytearray()
 
     def setupPort(self, cflag_baud: int) -> Literal[True]:  # noqa: N802 - the SDK's name
         self.ser = self._opener(self.port_name, self.baudrate)
         self.is_open = True
         self.is_using = False
         self.tx_time_per_byte = 10_000.0 / self.baudrate
-        self.ser.reset_input_buffer()
+        self.clearPort()
         return True
 
     def getCFlagBaud(self, baudrate: int) -> int:  # noqa: N802 - the SDK's name
@@ -157,14 +158,29 @@ class _Port(sdk.PortHandler):
         waited = self.getCurrentTime() - self.packet_start_time
         if waited <= self.packet_timeout:
             return False
-        if waited <= 3 * self.packet_timeout + 20 and self.ser.in_waiting:
+        if waited <= 3 * self.packet_timeout + 20 and self.waiting:
             return False
         self.packet_timeout = 0.0
         return True
 
-    def clear(self) -> None:
+    def readPort(self, length: int) -> bytes:  # noqa: N802 - the SDK's name
+        """Return up to ``length`` bytes, taking all that is there with one call to the system."""
+        missing = length - len(self._received)
+        if missing > 0:
+            self._received += self.ser.read(max(missing, self.ser.in_waiting))
+        data = bytes(self._received[:length])
+        del self._received[:length]
+        return data
+
+    def clearPort(self) -> None:  # noqa: N802 - the SDK's name
         """Forget what has arrived."""
+        self._received.clear()
         self.ser.reset_input_buffer()
+
+    @property
+    def waiting(self) -> int:
+        """Bytes that have arrived and were not asked for yet."""
+        return len(self._received) + self.ser.in_waiting
 
 
 class _Packets(sdk.Protocol2PacketHandler):
@@ -298,21 +314,20 @@ class SdkTransport:
         """
         length, ids = self._asked
         missing, answers = set(ids), {}
+        parser = Parser()
         with self._guard() as device:
-            for _ in range(3 * len(ids) + 10):
-                if not missing:
+            while missing:
+                data = device.readPort(len(missing) * (STATUS_OVERHEAD + length))
+                for packet in parser.feed(data):
+                    servo_id, params = packet.servo_id, packet.params
+                    if packet.code != STATUS or servo_id not in missing or not params:
+                        continue
+                    if params[0] & ~ALERT == 0 and len(params) == length + 1:
+                        answers[servo_id] = (params[0] & ALERT, params[1:])
+                        missing.discard(servo_id)
+                if missing and not data and device.isPacketTimeout():
+                    self._drain()
                     break
-                answer, result = self._packets.rxPacket(device, False)
-                if result == sdk.COMM_RX_TIMEOUT:
-                    break
-                if result != sdk.COMM_SUCCESS or answer[4] not in missing:
-                    continue
-                data = bytes(answer[9 : 7 + (answer[5] | answer[6] << 8) - 2])
-                if answer[8] & ~ALERT == 0 and len(data) == length:
-                    answers[answer[4]] = (answer[8] & ALERT, data)
-                    missing.discard(answer[4])
-            if missing:
-                self._drain()
         return answers
 
     @contextmanager
@@ -368,10 +383,10 @@ class SdkTransport:
             deadline = self._clock.now() + DRAIN_LIMIT
             while True:
                 self._clock.sleep_until(self._clock.now() + DRAIN_STEP)
-                if not device.ser.in_waiting or self._clock.now() >= deadline:
+                if not device.waiting or self._clock.now() >= deadline:
                     break
-                device.clear()
-            device.clear()
+                device.clearPort()
+            device.clearPort()
         except (OSError, termios.error, serial.SerialException) as error:
             raise self._lost(error) from error
 

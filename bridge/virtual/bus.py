@@ -33,6 +33,11 @@ CLEAR_KEY = b"\x01\x44\x58\x4c\x22"
 """Parameters of the one Clear that exists: the multi-turn position."""
 
 Timed = list[tuple[float, bytes]]
+"""Bytes with the time at which they have arrived."""
+Request = tuple[int, int, int]
+"""Servo id, address and length of one part of a sync or bulk read."""
+Servos = dict[int, list[VirtualServo]]
+"""Servos by id: more than one if ids clash."""
 
 
 class VirtualBus:
@@ -128,9 +133,15 @@ class VirtualBus:
             servo
             for servo in self.servos
             if now >= servo.boots_at
-            and not self.faults.silent(now, servo.id)
+            and not (self.faults.faults and self.faults.silent(now, servo.id))
             and self._line_baud in (None, BAUD_RATES[servo.memory.get("baud_rate")])
         ]
+
+    def _by_id(self, now: float) -> Servos:
+        servos: Servos = {}
+        for servo in self._listening(now):
+            servos.setdefault(servo.id, []).append(servo)
+        return servos
 
     def _addressed(self, now: float, servo_id: int) -> list[VirtualServo]:
         return [
@@ -242,13 +253,13 @@ class VirtualBus:
         ]
         return self._read_many(now, requests, fast=packet.code == packets.FAST_BULK_READ)
 
-    def _read_many(self, now: float, requests: list[tuple[int, int, int]], *, fast: bool) -> Timed:
-        listening = self._listening(now)
+    def _read_many(self, now: float, requests: list[Request], *, fast: bool) -> Timed:
+        servos = self._by_id(now)
         if fast:
-            return self._read_fast(now, requests, listening)
+            return self._read_fast(now, requests, servos)
         answers: Timed = []
         for servo_id, address, length in requests:
-            present = [servo for servo in listening if servo.id == servo_id]
+            present = servos.get(servo_id, [])
             if not present:
                 self._free += ABSENT_WAIT
             for servo in present:
@@ -258,17 +269,20 @@ class VirtualBus:
         return answers
 
     def _read_fast(
-        self, now: float, requests: list[tuple[int, int, int]], listening: list[VirtualServo]
+        self,
+        now: float,
+        requests: list[tuple[int, int, int]],
+        servos: dict[int, list[VirtualServo]],
     ) -> Timed:
         """Answer with one chained packet; it breaks off at the first servo that is not there."""
         entries: list[tuple[int, int, bytes]] = []
         delay = 0.0
         whole = True
         for servo_id, address, length in requests:
-            servo = next((servo for servo in listening if servo.id == servo_id), None)
-            if servo is None:
+            if servo_id not in servos:
                 whole = False
                 break
+            servo = servos[servo_id][0]
             delay = max(delay, servo.memory.get("return_delay_time") * RETURN_DELAY_UNIT)
             error, data = servo.read(address, length)
             entries.append((error | servo.alert, servo_id, data))
@@ -287,21 +301,20 @@ class VirtualBus:
         address, length = _word(params, 0), _word(params, 2)
         if (len(params) - 4) % (length + 1):
             return []
-        listening = self._listening(now)
+        servos = self._by_id(now)
         for at in range(4, len(params), length + 1):
-            for servo in listening:
-                if servo.id == params[at]:
-                    servo.write(address, params[at + 1 : at + 1 + length])
+            for servo in servos.get(params[at], ()):
+                servo.write(address, params[at + 1 : at + 1 + length])
         return []
 
     def _bulk_write(self, now: float, packet: Packet) -> Timed:
         params, at = packet.params, 0
-        listening = self._listening(now)
+        servos = self._by_id(now)
         while packet.servo_id == packets.BROADCAST and at + 5 <= len(params):
             length = _word(params, at + 3)
             data = params[at + 5 : at + 5 + length]
-            for servo in listening:
-                if servo.id == params[at] and len(data) == length:
+            for servo in servos.get(params[at], ()):
+                if len(data) == length:
                     servo.write(_word(params, at + 1), data)
             at += 5 + length
         return []

@@ -24,6 +24,15 @@ class Memory:
         """Fill with factory values."""
         self.table = table
         self._registers, self._starts, self._data = _layout(table)
+        self._spans = {
+            name: (register.address, register.end, register.signed)
+            for name, register in self._registers.items()
+        }
+        self._insides = {
+            address
+            for register in self._registers.values()
+            for address in range(register.address + 1, register.end)
+        }
         self._bytes = bytearray(SIZE)
         self.reset("eeprom")
         self.reset("ram")
@@ -34,15 +43,13 @@ class Memory:
 
     def get(self, name: str) -> int:
         """Return a register's value."""
-        register = self._registers[name]
-        data = self._bytes[register.address : register.end]
-        return int.from_bytes(data, "little", signed=register.signed)
+        start, end, signed = self._spans[name]
+        return int.from_bytes(self._bytes[start:end], "little", signed=signed)
 
     def set(self, name: str, value: int) -> None:
         """Set a register without asking any rule."""
-        register = self._registers[name]
-        data = value.to_bytes(register.length, "little", signed=register.signed)
-        self._bytes[register.address : register.end] = data
+        start, end, signed = self._spans[name]
+        self._bytes[start:end] = value.to_bytes(end - start, "little", signed=signed)
 
     def bound(self, bound: Bound) -> int:
         """Return the value of a bound: a number, a register's value or the negative of one."""
@@ -66,7 +73,7 @@ class Memory:
         """Return (error, bytes); undefined addresses read as zero."""
         if length < 1 or address + length > SIZE:
             return ERROR_ACCESS, b""
-        if not self._data:
+        if self._data.keys().isdisjoint(range(address, address + length)):
             return 0, bytes(self._bytes[address : address + length])
         return 0, bytes(self._bytes[self._target(at)] for at in range(address, address + length))
 
@@ -79,14 +86,19 @@ class Memory:
             return [], ERROR_LENGTH
         if address + len(data) > SIZE:
             return [], ERROR_ACCESS
-        targets = [self._target(at) for at in range(address, address + len(data))]
+        pointed = self._data
+        targets = [
+            self._target(at) if at in pointed else at for at in range(address, address + len(data))
+        ]
         writes: list[tuple[str, int]] = []
         at = 0
         while at < len(data):
             register = self._starts.get(targets[at])
             if register is None:
-                if at == 0 or self._inside(targets[at]):
-                    return [], ERROR_LENGTH if self._inside(targets[at]) else ERROR_ACCESS
+                if targets[at] in self._insides:
+                    return [], ERROR_LENGTH
+                if at == 0:
+                    return [], ERROR_ACCESS
                 at += 1
                 continue
             span = targets[at : at + register.length]
@@ -95,11 +107,6 @@ class Memory:
             writes.append((register.name, register.decode(data[at : at + register.length])))
             at += register.length
         return writes, 0
-
-    def _inside(self, address: int) -> bool:
-        return any(
-            register.address < address < register.end for register in self._registers.values()
-        )
 
     def _target(self, address: int) -> int:
         """Return the address that a byte stands for: its own, or what its pointer says."""

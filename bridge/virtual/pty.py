@@ -28,6 +28,8 @@ _SPEEDS = {
 """bit/s by the constant that a terminal's settings carry."""
 
 CHUNK = 4096
+BATCH = 0.0005
+"""Answers within this time are handed over together, s: as a USB adapter does with its frames."""
 
 
 class PtyServer:
@@ -96,7 +98,10 @@ class PtyServer:
         """Serve until :meth:`stop` is called from another thread or a signal handler."""
         while True:
             # select, not poll: its timeout is not rounded up to milliseconds.
-            wait = max(0.0, self._due[0][0] - time.monotonic()) if self._due else None
+            wait = None
+            if self._due:
+                batch = BATCH if self._timing else 0.0
+                wait = max(0.0, self._due[0][0] + batch - time.monotonic())
             ready, _, _ = select.select((self._master, self._stop_read), (), (), wait)
             if self._stop_read in ready:
                 return

@@ -113,6 +113,8 @@ class VirtualServo:
         self._heard = 0.0
         self._still = False
         self._overload = 0.0
+        last = table["present_position"].end
+        self._fast_block = (last - 10, last)
         self._power_up()
 
     # -- what the bus asks ------------------------------------------------------------------------
@@ -138,7 +140,10 @@ class VirtualServo:
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Return (error, data) of a read."""
-        self._publish()
+        if self._fast_block[0] <= address and address + length <= self._fast_block[1]:
+            self._publish_motion()
+        else:
+            self._publish()
         return self.memory.read(address, length)
 
     def write(self, address: int, data: bytes) -> int:
@@ -153,7 +158,11 @@ class VirtualServo:
                 return error
         for name, value in writes:
             self._apply(name, value)
-        self._reload()
+        if len(writes) == 1 and writes[0][0] == "goal_position" and self._plain_goals:
+            self._settings.goal = self._angle(writes[0][1])
+            self._still = False
+        else:
+            self._reload()
         return 0
 
     def register_write(self, address: int, data: bytes) -> int:
@@ -319,6 +328,7 @@ class VirtualServo:
             speed = distance / (duration - ramp) if duration > 0 else 0.0
             acceleration = speed / ramp if ramp > 0 else 0.0
         tripped = get("bus_watchdog") == WATCHDOG_TRIPPED
+        self._plain_goals = not get("drive_mode") & (TIME_BASED | TORQUE_BY_GOAL)
         if tripped:
             speed = acceleration = 0.0
         mode = get("operating_mode")
@@ -358,7 +368,7 @@ class VirtualServo:
         if steps <= 0:
             return
         if self._still:
-            self.motor.warm(steps * STEP)
+            self.motor.rest(steps * STEP)
         else:
             for left in range(steps, 0, -1):
                 before = self.motor.angle
@@ -371,9 +381,8 @@ class VirtualServo:
                     and self.motor.error_sum == 0.0
                 ):
                     self._still = True
-                    self.motor.warm(left * STEP)
+                    self.motor.rest((left - 1) * STEP)
                     break
-                self.motor.warm(STEP)
         self._time += steps * STEP
         self._protect(steps * STEP)
 
@@ -416,22 +425,14 @@ class VirtualServo:
 
     def _publish(self) -> None:
         """Write the state into the registers that show it."""
-        motor, memory, table = self.motor, self.memory, self.table
-        sign = -1 if memory.get("drive_mode") & REVERSE else 1
-        error = memory.get("goal_position") - self._ticks(motor.angle)
-        speed = round(sign * motor.velocity / VELOCITY_UNIT)
+        motor, memory = self.motor, self.memory
+        speed = self._publish_motion()
+        sign = self._sign
+        error = memory.get("goal_position") - memory.get("present_position")
         moving = abs(speed) > memory.get("moving_threshold")
         arrived = abs(error) <= 4
         running = self._settings.torque and self.profile.velocity != 0
-        memory.set("present_position", self._ticks(motor.angle))
-        memory.set("present_velocity", speed)
         memory.set("present_pwm", round(sign * motor.duty * PWM_FULL))
-        if table.current_unit is not None:
-            counts = sign * motor.current * table.stall_current / table.current_unit
-            memory.set("present_current", max(-32768, min(32767, round(counts))))
-        else:
-            load = sign * motor.current * 1000
-            memory.set("present_load", max(-1000, min(1000, round(load))))
         sag = 1 - RESISTANCE_DROP * min(1.0, abs(motor.current))
         memory.set("present_input_voltage", round(self.supply * sag / VOLTAGE_UNIT))
         memory.set("present_temperature", max(0, min(255, round(motor.temperature))))
@@ -440,3 +441,21 @@ class VirtualServo:
         memory.set("velocity_trajectory", round(sign * self.profile.velocity / VELOCITY_UNIT))
         memory.set("position_trajectory", self._ticks(self.profile.position))
         memory.set("realtime_tick", int(self._time * 1e3) % 32768)
+
+    @property
+    def _sign(self) -> int:
+        return -1 if self.memory.get("drive_mode") & REVERSE else 1
+
+    def _publish_motion(self) -> int:
+        """Write current or load, velocity and position; return the velocity's count."""
+        motor, memory, table, sign = self.motor, self.memory, self.table, self._sign
+        speed = round(sign * motor.velocity / VELOCITY_UNIT)
+        memory.set("present_position", self._ticks(motor.angle))
+        memory.set("present_velocity", speed)
+        if table.current_unit is not None:
+            counts = sign * motor.current * table.stall_current / table.current_unit
+            memory.set("present_current", max(-32768, min(32767, round(counts))))
+        else:
+            load = sign * motor.current * 1000
+            memory.set("present_load", max(-1000, min(1000, round(load))))
+        return speed
