@@ -16,6 +16,7 @@ from robots.skeleton import FloatArray
 from sim.fitting import fit_person
 from sim.footing import clear_floor, ground_shift
 
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
     """Poses to follow, two people on one clock."""
@@ -50,7 +51,7 @@ class Reference:
         return _between(linear), _between(angular)
 
     def steps(self) -> tuple[FloatArray, FloatArray]:
-        """Return the velocities ``[N-1, 2, 3]`` and ``[N-1, 2, J, 3]`` from each sample to the next.
+        """Return velocities ``[N-1, 2, 3]`` and ``[N-1, 2, J, 3]`` from each sample to the next.
 
         Units and frames as in :meth:`velocities`.
         """

@@ -1,9 +1,9 @@
 """Two people and a floor as one MuJoCo model, with the maps between its arrays and our names.
 
 Contact bits: the floor meets both people, the people meet each other; a person meets itself only
-with ``self_collision``. Contacts are soft at first touch (``solimp`` starts at 0), so that the force
-grows from zero with depth and neither integration nor derivatives see a jump; the price is a few
-millimetres of sinking.
+with ``self_collision``. Contacts are soft at first touch (``solimp`` starts at 0), so that the
+force grows from zero with depth and neither integration nor derivatives see a jump; the price is a
+few millimetres of sinking.
 
 The root assist is part of the model: six ``position`` actuators between each pelvis and its
 reference, three translational in the world frame and three rotational in the frame of a mocap body
@@ -36,6 +36,13 @@ GRAVITY = 9.81
 
 _FLOOR, _PERSON, _OWN = 1, (2, 4), (8, 16)
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
+_OWN_TAGS = frozenset(
+    (
+        *("mujoco", "compiler", "option", "flag", "size", "default", "worldbody", "contact"),
+        *("body", "freejoint", "joint", "geom", "site", "exclude"),
+        *("actuator", "orientation", "position"),
+    )
+)
 _HIDDEN = "4"
 """Geom and site group that pictures leave out."""
 
@@ -46,9 +53,9 @@ class AssistLimits:
 
     max_force: float = 0.5
     """Bound per axis, in body weights; 0 leaves the people on their own feet."""
-    max_torque: float = 0.1
+    max_torque: float = 0.15
     """Bound per axis, in body weight times stature."""
-    frequency: float = 8.0
+    frequency: float = 10.0
     """Natural frequency of the spring on the whole body, rad/s; critically damped."""
 
     def __post_init__(self) -> None:
@@ -178,9 +185,38 @@ def build_scene(
             _add_assist(worldbody, actuators, person, body, assist)
     for site in root.iter("site"):
         site.set("group", _HIDDEN)
-    xml = ET.tostring(root, encoding="unicode")
+    return _compiled(ET.tostring(root, encoding="unicode"), bodies)
+
+
+def load_scene(xml: str, bodies: tuple[HumanBody, HumanBody]) -> Scene:
+    """Return the scene of an MJCF text that came out of a file.
+
+    MuJoCo opens whatever file an ``<include>`` or an asset names, so a text with any other element
+    than those that :func:`build_scene` writes is refused.
+
+    Raises:
+        SpecError: The text is not a scene that :func:`build_scene` made for these bodies.
+    """
+    if "<!" in xml or "<?" in xml:
+        raise SpecError("the scene contains XML declarations, which are not read")
+    try:
+        tags = {element.tag for element in ET.fromstring(xml).iter()}  # noqa: S314 - no DTD here
+    except ET.ParseError as error:
+        raise SpecError(f"the scene is not XML: {error}") from error
+    if not tags <= _OWN_TAGS:
+        raise SpecError(
+            f"the scene contains <{min(tags - _OWN_TAGS)}>", allowed=", ".join(sorted(_OWN_TAGS))
+        )
+    try:
+        return _compiled(xml, bodies)
+    except KeyError as error:
+        raise SpecError(f"the scene lacks a part: {error}") from error
+
+
+def _compiled(xml: str, bodies: tuple[HumanBody, HumanBody]) -> Scene:
     model = compile_model(xml)
-    return Scene(model, xml, bodies, tuple(map_person(model, b, p) for b, p in zip(bodies, PEOPLE)))  # type: ignore[arg-type]
+    a, b = (map_person(model, body, person) for body, person in zip(bodies, PEOPLE, strict=True))
+    return Scene(model, xml, bodies, (a, b))
 
 
 def compile_model(xml: str) -> Any:

@@ -54,7 +54,10 @@ class Trace:
 class Controller(Protocol):
     """Something that makes the people in a scene follow a reference."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """What ``TrackSettings.controller`` calls it."""
+        ...
 
     def run(self, scene: Scene, reference: Reference, progress: Progress | None = None) -> Trace:
         """Simulate the whole reference.

@@ -1,0 +1,171 @@
+"""Make two simulated people do a motion: :class:`DuetMotion` in, :class:`Rollout` out."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from generator.motion import DuetMotion
+from robots.errors import SpecError, nearest
+from robots.skeleton import FloatArray
+from sim.controllers.assist import AssistController
+from sim.controllers.base import Controller, Progress, Trace
+from sim.reference import Reference, make_reference
+from sim.rollout import Rollout, motion_sha256
+from sim.scene import AssistLimits, Scene, build_scene
+
+log = logging.getLogger(__name__)
+
+CONTROLLERS: dict[str, Callable[[], Controller]] = {"assist": AssistController}
+"""What ``TrackSettings.controller`` may name."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackSettings:
+    """How to track.
+
+    Raises:
+        SpecError: A value makes no sense.
+    """
+
+    controller: str = "assist"
+    """One of :data:`CONTROLLERS`."""
+    rate: float = 60.0
+    """Moments per second that the rollout keeps."""
+    steps: int = 2
+    """Integration and control steps per kept moment."""
+    smoothing: float = 0.02
+    """Standard deviation of the low-pass on the reference, s."""
+    assist: AssistLimits = field(default_factory=AssistLimits)
+    """Strength of the hand that helps each pelvis."""
+    self_collision: bool = False
+    """Whether a person's limbs collide with its own others."""
+    weights: tuple[float | None, float | None] = (None, None)
+    """Body masses of a and b, kg; ``None`` is a body mass index of 22."""
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        if self.controller not in CONTROLLERS:
+            raise SpecError(
+                f"no controller '{self.controller}'",
+                allowed=", ".join(CONTROLLERS),
+                hint=nearest(self.controller, CONTROLLERS),
+            )
+        if not 10 <= self.rate <= 480:
+            raise SpecError(f"{self.rate} moments per second", allowed="10 to 480")
+        if not 1 <= self.steps <= 16 or not 60 <= self.rate * self.steps <= 2000:
+            raise SpecError(f"{self.rate * self.steps:.0f} steps per second", allowed="60 to 2000")
+        if not 0 <= self.smoothing <= 1:
+            raise SpecError(f"smoothing over {self.smoothing} s", allowed="0 to 1 s")
+
+
+def track(
+    motion: DuetMotion,
+    *,
+    settings: TrackSettings | None = None,
+    progress: Progress | None = None,
+) -> Rollout:
+    """Return what two simulated people did when asked to do a motion.
+
+    The same motion and settings give the same rollout on the same machine.
+
+    Args:
+        motion: What to do.
+        settings: How; the defaults if not given.
+        progress: Told the share of the work that is done, 0 to 1.
+
+    Raises:
+        SimDiverged: The physics produced non-finite or absurd numbers.
+        SpecError: The people are not of human size.
+    """
+    settings = settings or TrackSettings()
+    step_rate = settings.rate * settings.steps
+    reference = make_reference(
+        motion, rate=step_rate, smoothing=settings.smoothing, weights=settings.weights
+    )
+    reference = _whole_moments(reference, settings.steps)
+    scene = build_scene(
+        reference.bodies,
+        timestep=1 / step_rate,
+        assist=settings.assist if settings.assist.max_force or settings.assist.max_torque else None,
+        self_collision=settings.self_collision,
+    )
+    trace = CONTROLLERS[settings.controller]().run(scene, reference, progress)
+    rollout = _rollout(motion, settings, reference, scene, trace)
+    for person, time in rollout.fall_time.items():
+        if time is not None:
+            log.warning("person %s fell at %.2f s", person, time)
+    return rollout
+
+
+def _whole_moments(reference: Reference, steps: int) -> Reference:
+    """Return the reference with its last pose held until the next kept moment."""
+    missing = -(len(reference.root) - 1) % steps
+    if not missing:
+        return reference
+
+    def held(values: NDArray) -> FloatArray:
+        return np.concatenate([values, np.repeat(values[-1:], missing, axis=0)])
+
+    return replace(
+        reference,
+        root=held(reference.root),
+        rotations=held(reference.rotations),
+        keypoints=held(reference.keypoints),
+    )
+
+
+def _rollout(
+    motion: DuetMotion,
+    settings: TrackSettings,
+    reference: Reference,
+    scene: Scene,
+    trace: Trace,
+) -> Rollout:
+    """Return the rollout of a trace, thinned to the moments that are kept."""
+    keep = slice(None, None, settings.steps)
+    qpos = trace.qpos[keep]
+    metadata: dict[str, Any] = {
+        "text": motion.text,
+        "source": motion.source,
+        "licence": motion.licence,
+        "seed": motion.seed,
+        "interaction": motion.interaction,
+        "contacts": [asdict(c) for c in motion.contacts],
+        "controller": settings.controller,
+        "settings": asdict(settings),
+        "input_sha256": motion_sha256(motion),
+        "mujoco_version": mujoco.__version__,
+        "ground_shift": list(reference.ground_shift),
+        "foot_lift": list(reference.foot_lift),
+    }
+    return Rollout(
+        times=np.arange(len(qpos)) / settings.rate,
+        qpos=qpos,
+        qvel=trace.qvel[keep],
+        ctrl=trace.ctrl[keep],
+        assist=_means(trace.assist, settings.steps),
+        torque=_means(trace.torque, settings.steps),
+        keypoints=scene.keypoints(qpos),
+        reference=reference.keypoints[keep],
+        reference_qpos=scene.qpos(reference.root[keep], reference.rotations[keep]),
+        offsets=np.stack([b.skeleton.offsets for b in scene.bodies]),
+        stature=np.array([b.stature for b in scene.bodies]),
+        weight=np.array([b.weight for b in scene.bodies]),
+        xml=scene.xml,
+        fps=motion.fps,
+        frames=motion.frames,
+        metadata=metadata,
+    )
+
+
+def _means(values: NDArray, steps: int) -> FloatArray:
+    """Return, per kept moment, the mean of ``values [N, ...]`` over the steps that led to it."""
+    later = values[1:].reshape(-1, steps, *values.shape[1:]).mean(axis=1)
+    return np.concatenate([later[:1], later])
