@@ -125,13 +125,14 @@ def _write_member(archive: zipfile.ZipFile, name: str, data: bytes) -> None:
 
 
 def read_archive(
-    path: str | Path, *, max_bytes: int = MAX_BYTES
+    path: str | Path, *, max_bytes: int = MAX_BYTES, header_only: bool = False
 ) -> tuple[dict[str, Any] | None, dict[str, NDArray[Any]]]:
     """Read an ``.npz`` without trusting it.
 
     Args:
         path: The file.
         max_bytes: Cap on the summed size of all arrays.
+        header_only: Leave the arrays where they are.
 
     Returns:
         The JSON header (``None`` for a foreign ``.npz`` without one) and the arrays by name.
@@ -165,7 +166,7 @@ def read_archive(
                 for info in members:
                     if info.filename == HEADER_MEMBER:
                         header = _parse_header(_bounded(archive, info, MAX_HEADER_BYTES), where)
-                    elif info.filename.endswith(".npy"):
+                    elif info.filename.endswith(".npy") and not header_only:
                         data = _bounded(archive, info, max_bytes)
                         name = info.filename.removesuffix(".npy")
                         arrays[name] = parse_npy(data, where=f"{where}[{name}]")
