@@ -101,7 +101,7 @@ def box(stage: Stage) -> None:
         times, beat.approach.at(0.3), beat.prepare.at(0.5), beat.release.start, beat.end - 0.1
     )
     for role in stage.people:
-        role.heading -= 0.35 * rise(times, 0.2, beat.prepare.end)
+        role.heading -= 0.35 * rise(times, beat.approach.start, beat.prepare.end)
         role.twist += 0.15 * guard
         role.crouch += 0.035 * stage.style.energy * guard
         role.lean += 0.08 * guard

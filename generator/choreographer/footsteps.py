@@ -12,6 +12,7 @@ set down 0.31 m ahead of the hip and leaves 0.31 m behind it, and steps are 0.52
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from generator.choreographer.curves import ease, window
 from generator.choreographer.frames import apply, pitch, yaw
 from generator.choreographer.role import Role
-from generator.choreographer.style import Side
+from generator.choreographer.style import SIDES, Side
 from robots.skeleton import FloatArray
 
 TOE_HEIGHT = 0.02
@@ -36,7 +37,7 @@ TURN_WEIGHT = 0.25
 """Metres that one radian of wrong foot direction counts for."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Step:
     """One step of one foot."""
 
@@ -45,10 +46,10 @@ class Step:
     """Toe leaves the floor, s."""
     land: float
     """Foot stands again, s."""
-    start: tuple[float, float, float]
-    """Toe x, y (m) and direction (rad) before."""
-    end: tuple[float, float, float]
-    """The same after."""
+    start: FloatArray
+    """``[3]``, toe x, y (m) and direction (rad) before."""
+    end: FloatArray
+    """``[3]``, the same after."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,30 +73,30 @@ class Foot:
 def plan_steps(role: Role) -> list[Step]:
     """Return the steps that carry a role along its path, in the order in which feet leave."""
     times, end = role.times, float(role.times[-1])
-    spots = {side: _spots(role, side) for side in ("left", "right")}
+    fps = (len(times) - 1) / end
+    spots = {side: _spots(role, side) for side in SIDES}
+    pace = _pace(role, fps)
 
     def spot(side: Side, moment: float) -> FloatArray:
-        return np.array([np.interp(moment, times, column) for column in spots[side].T])
+        return _at(spots[side], moment * fps)
 
-    standing = {side: spot(side, 0.0) for side in ("left", "right")}
+    standing = {side: spot(side, 0.0) for side in SIDES}
     steps: list[Step] = []
     turn: Side = role.first_step
-    moment = 0.05
-    while moment < end - SWING - 0.05:
-        pace = _pace(role, moment)
-        period = float(np.clip(0.66 - 0.14 * pace, 0.5, 0.66))
+    moment = 0.25
+    while moment < end - SWING - 0.15:
+        period = min(max(0.66 - 0.14 * pace[round(moment * fps)], 0.5), 0.66)
         ahead = moment + SWING + period - SWING / 2
         for side in (turn, _other(turn)):
             goal = spot(side, ahead)
             if _misplaced(goal, standing[side]) > NEAR_ENOUGH * role.build.scale:
-                start = (*map(float, standing[side]),)
-                steps.append(Step(side, moment, moment + SWING, start, (*map(float, goal),)))  # type: ignore[arg-type]
+                steps.append(Step(side, moment, moment + SWING, standing[side], goal))
                 standing[side] = goal
                 turn = _other(side)
                 moment += period
                 break
         else:
-            moment += 1 / 60
+            moment += 1 / fps
     return steps
 
 
@@ -109,17 +110,23 @@ def _spots(role: Role, side: Side) -> FloatArray:
     return np.column_stack([role.path + place[:, :2], direction])
 
 
-def _pace(role: Role, moment: float) -> float:
-    """Return the mean speed over the next step, m/s."""
-    ends = [
-        np.array([np.interp(t, role.times, column) for column in role.path.T])
-        for t in (moment, moment + 0.6)
-    ]
-    return float(np.linalg.norm(ends[1] - ends[0])) / 0.6
+def _at(values: FloatArray, index: float) -> FloatArray:
+    """Return the row of ``values [T, N]`` at a fractional index, the last one beyond the end."""
+    low = min(int(index), len(values) - 1)
+    high = min(low + 1, len(values) - 1)
+    return values[low] + (index - low if high > low else 0.0) * (values[high] - values[low])
+
+
+def _pace(role: Role, fps: float) -> FloatArray:
+    """Return the mean speed over the next 0.6 s at each frame ``[T]``, m/s."""
+    count = len(role.times)
+    later = np.minimum(np.arange(count) + round(0.6 * fps), count - 1)
+    return np.linalg.norm(role.path[later] - role.path, axis=1) / 0.6
 
 
 def _misplaced(goal: FloatArray, now: FloatArray) -> float:
-    return float(np.hypot(*(goal - now)[:2]) + TURN_WEIGHT * abs(goal[2] - now[2]))
+    x, y, turn = goal - now
+    return math.hypot(x, y) + TURN_WEIGHT * abs(turn)
 
 
 def _other(side: Side) -> Side:
@@ -137,7 +144,7 @@ def foot_path(role: Role, steps: list[Step], side: Side, lift: float = 1.0) -> F
     """
     times, scale = role.times, role.build.scale
     own = [step for step in steps if step.side == side]
-    first = _spots(role, side)[0] if not own else np.array(own[0].start)
+    first = own[0].start if own else _spots(role, side)[0]
     place = np.tile(first, (len(times), 1))
     height = np.full(len(times), TOE_HEIGHT * scale)
     tip = np.zeros(len(times))
@@ -147,7 +154,7 @@ def foot_path(role: Role, steps: list[Step], side: Side, lift: float = 1.0) -> F
     for step in own:
         swing = step.land - step.leave
         progress = (times - step.leave) / swing
-        move = np.subtract(step.end, step.start)
+        move = step.end - step.start
         length = float(np.hypot(move[0], move[1]))
         place += ease(progress)[:, None] * move
         u = np.clip(progress, 0.0, 1.0)

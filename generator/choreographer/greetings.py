@@ -118,7 +118,7 @@ def bow(stage: Stage) -> None:
 def beckon(stage: Stage) -> None:
     """One waves the other to come nearer, and the other comes."""
     beat = stage.phases(approach=0.4, prepare=0.6, hold=1.8, release=0.7, depart=1.2)
-    stage.face_to_face(arrive=0.1, travel=(0.0, 0.0))
+    stage.face_to_face(arrive=beat.approach.end, travel=(0.0, 0.0))
     leave = beat.hold.at(0.4) + stage.answer()
     arrive = beat.end - 0.5
     far = min(stage.pick(0.8, 1.1), 1.15 * (arrive - leave) / 1.875)

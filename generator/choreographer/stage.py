@@ -20,6 +20,8 @@ from generator.motion import Contact
 from robots.skeleton import FloatArray
 
 FPS = 30.0
+CALM = 0.35
+"""Time before the first and after the last phase in which people just stand, s."""
 TOP_SPEED = 1.15
 """Fastest walking, m/s."""
 PALM_TO_PALM = 0.06
@@ -104,13 +106,16 @@ class Stage:
         release: float = 0.0,
         depart: float = 0.0,
     ) -> Phases:
-        """Set the clock from durations in seconds at ordinary tempo, varied by chance by 8 %."""
-        moment, spans = 0.0, []
+        """Set the clock from durations in seconds at ordinary tempo, varied by chance by 8 %.
+
+        A short time of standing goes before and after.
+        """
+        moment, spans = CALM, []
         for seconds in (approach, prepare, contact, hold, release, depart):
             length = seconds * self.rng.uniform(0.92, 1.08) / self.style.speed
             spans.append(Span(moment, moment + length))
             moment += length
-        self.times = np.arange(round(moment * FPS) + 1) / FPS
+        self.times = np.arange(round((moment + CALM) * FPS) + 1) / FPS
         self.first, self.second = (Role(build, self.times) for build in self.builds)
         for role in self.people:
             self._liven(role)
@@ -150,8 +155,8 @@ class Stage:
             arrive: Moment both are there, s.
             travel: Range from which each one's walk is drawn, m.
         """
-        longest = TOP_SPEED * arrive / 1.875
-        come = 1.0 - rise(self.times, 0.0, arrive)
+        longest = TOP_SPEED * (arrive - CALM) / 1.875
+        come = 1.0 - rise(self.times, CALM, arrive)
         for role, sign in zip(self.people, (-1.0, 1.0), strict=True):
             walk = min(self.pick(*travel), longest) * come
             role.path[:, 0] += sign * (0.5 * self.near + walk)
