@@ -21,6 +21,9 @@ from robots.skeleton import Skeleton, human_skeleton
 SCHEMA = "pasdedeux.motion/1"
 """Value of ``schema`` in the header; the number grows when old readers cannot read new files."""
 
+_CONVENTIONS = {"up": "z", "unit": "m", "quaternions": "wxyz"}
+"""Written into every file for its readers elsewhere; another value is not this format."""
+
 _KINDS = ("reference", "simulated")
 _POINTS = (*human_skeleton().names, LEFT_HAND, RIGHT_HAND)
 
@@ -39,8 +42,7 @@ def write_motion(motion: DuetMotion, path: str | Path) -> None:
     header = {
         "schema": SCHEMA,
         "fps": motion.fps,
-        "up": "z",
-        "unit": "m",
+        **_CONVENTIONS,
         "names": list(a.names),
         "parents": list(a.parents),
         "hand_per_forearm": [person.skeleton.hand_per_forearm for person in motion.people],
@@ -78,6 +80,7 @@ def parse_motion(
         MotionError: The arrays break a promise of the motion types.
     """
     entry = _Header(header, where)
+    entry.require_conventions()
     said.settle_up(where, "z")
     said.settle_scale(where, 1.0)
     fps = said.settle_fps(where, entry.number("fps"))
@@ -136,6 +139,11 @@ class _Header:
     def _wrong(self, key: str, allowed: str) -> MotionFileError:
         what = "is wrong" if key in self._values else "is missing"
         return MotionFileError(f"'{key}' in the header {what}", where=self._where, allowed=allowed)
+
+    def require_conventions(self) -> None:
+        for key, value in _CONVENTIONS.items():
+            if self._values.get(key) != value:
+                raise self._wrong(key, value)
 
     def number(self, key: str) -> float:
         value = self._values.get(key)

@@ -17,6 +17,9 @@ from robots.skeleton import FloatArray, Skeleton, human_skeleton
 _Y_UP_TO_Z_UP = (2, 0, 1)
 """World axes of a y-up file in the order (x, y, z) of ours: who faces +z there, faces +x here."""
 
+_MEASURED_FRAMES = 500
+"""About so many frames, spread over the motion, are enough to measure directions of bones."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawDuet:
@@ -107,14 +110,14 @@ def fit_body(points: NDArray) -> tuple[Skeleton, FloatArray]:
     measured, as the mean over time seen from the keypoint's own frame, and the fit is repeated.
     """
     skeleton = fit_skeleton(human_skeleton(), points)
-    rotations = fit_rotations(skeleton, points)
-    frames = global_rotations(skeleton, rotations)
+    some = points[:: max(1, len(points) // _MEASURED_FRAMES)]
+    frames = global_rotations(skeleton, fit_rotations(skeleton, some))
     offsets = skeleton.offsets.copy()
     parents = list(skeleton.parents)
     for j, parent in enumerate(parents):
         if parent < 0 or parents.count(parent) < 2:
             continue
-        mean = frames[parent].inv().apply(points[:, j] - points[:, parent]).mean(axis=0)
+        mean = frames[parent].inv().apply(some[:, j] - some[:, parent]).mean(axis=0)
         size = np.linalg.norm(mean)
         if size > 1e-6:
             offsets[j] = mean * (skeleton.bone_lengths[j] / size)

@@ -113,6 +113,9 @@ def test_the_caller_may_say_what_the_file_states(make_duet, tmp_path):
 @pytest.mark.parametrize(
     ("key", "value"),
     [
+        ("up", "y"),
+        ("unit", "cm"),
+        ("quaternions", "xyzw"),
         ("fps", "30"),
         ("fps", True),
         ("fps", 0.5),

@@ -15,10 +15,11 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
 from generator.io import read_motion, write_bvh, write_motion
 from robots.errors import MotionFileError
-from robots.files import write_archive
+from robots.files import read_archive, write_archive
 from robots.skeleton import human_skeleton
 
 MIB = 2**20
@@ -206,6 +207,65 @@ def test_noise_gives_a_motion_file_error(tmp_path_factory, suffix, data):
         (folder / f"x_{letter}.{suffix}").write_bytes(data)
     with pytest.raises(MotionFileError):
         read_motion(folder / f"x_a.{suffix}", fps=30, up="z", scale=1)
+
+
+CONTENTS = st.one_of(
+    hnp.arrays(
+        st.one_of(
+            hnp.floating_dtypes(),
+            hnp.integer_dtypes(),
+            hnp.boolean_dtypes(),
+            hnp.complex_number_dtypes(),
+            hnp.unicode_string_dtypes(max_len=3),
+            hnp.byte_string_dtypes(max_len=3),
+        ),
+        st.one_of(
+            hnp.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=3),
+            st.sampled_from([(3, 22, 3), (3, 2, 22, 3), (3, 22, 4), (3, 4), (22, 3), (22,)]),
+        ),
+    ),
+)
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False)
+    | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3)
+    | st.dictionaries(st.sampled_from(["a", "b", "start", "end", "gap"]), inner, max_size=5),
+    max_leaves=10,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["own", "npz", "named", "smplx"])
+@settings(
+    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(data=st.data())
+def test_an_intact_archive_with_wrong_content_gives_a_motion_or_a_motion_file_error(
+    samples, tmp_path, name, data
+):
+    """Flipped bits rarely pass the checksum of a zip; wrong content does."""
+    folder, targets, path, said = samples[name]
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+    header, arrays = read_archive(folder / targets[0])
+    kind = data.draw(st.sampled_from(["replace", "remove", "add", "header"]))
+    if kind == "header" and header:
+        key = data.draw(st.sampled_from(sorted(header)))
+        header[key] = data.draw(JSON)
+    else:
+        key = data.draw(st.sampled_from([*sorted(arrays), "fps", "up", "text", "foot_contacts_a"]))
+        if kind == "remove":
+            arrays.pop(key, None)
+        else:
+            arrays[key] = data.draw(CONTENTS)
+    if header is None:
+        np.savez(tmp_path / targets[0], **arrays)  # pyright: ignore[reportArgumentType]
+    else:
+        write_archive(tmp_path / targets[0], header, arrays)
+    try:
+        motion = read_motion(tmp_path / path, **said)
+    except MotionFileError:
+        return
+    assert motion.a.rotations is not None
+    write_motion(motion, tmp_path / "again.npz")
 
 
 def peak(action: Callable[[], object]) -> int:
