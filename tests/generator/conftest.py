@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -58,3 +59,16 @@ def make_duet() -> MakeDuet:
         )
 
     return make
+
+
+@pytest.fixture(scope="session")
+def golden() -> Path:
+    """Folder of reference vectors of the public InterGen release, beside a development checkout.
+
+    They are not part of the project (their licence is not ours); tests that need them are skipped
+    where they are not there.
+    """
+    folder = Path(__file__).parents[3] / "shared" / "golden" / "intergen"
+    if not folder.is_dir():
+        pytest.skip(f"no reference vectors at {folder}")
+    return folder
