@@ -34,8 +34,9 @@ READ_WAIT = 0.005
 PATIENCE = 0.012
 """How long an answer may take beyond its time on the wire, s: an adapter's own delay and the
 operating system's, with a millisecond latency timer."""
-DRAIN_STEP, DRAIN_LIMIT = 0.002, 0.040
-"""After an error: the silence that counts as idle and how long to wait for it, s."""
+QUIET, STREAM_QUIET, DRAIN_LIMIT = 0.012, 0.002, 0.060
+"""After an error: the silence that counts as idle (shorter while streaming, where a late answer is
+merely an old position) and how long to wait for it, s."""
 
 STATUS_OVERHEAD = 11
 """Bytes of a status packet beside its data."""
@@ -268,13 +269,17 @@ class SdkTransport:
     def read(self, servo_id: int, address: int, length: int) -> tuple[int, bytes]:
         """Return (alert bit, data) of a read."""
         with self._guard(servo_id) as device:
-            data, result, error = self._packets.readTxRx(device, servo_id, address, length)
+            # Not the SDK's own read: it takes checksum bytes for data if an answer is too short.
+            request = [0, 0, 0, 0, servo_id, 7, 0, sdk.INST_READ]
+            request += [*address.to_bytes(2, "little"), *length.to_bytes(2, "little"), 0, 0]
+            answer, result, error = self._packets.txRxPacket(device, request)
             self._check(servo_id, result, error)
+            data = bytes(answer[9 : 7 + (answer[5] | answer[6] << 8) - 2]) if answer else b""
             if len(data) != length:
                 raise BusCorrupt(
                     f"servo {servo_id} sent {len(data)} of {length} bytes", where=self.port
                 )
-            return error & ALERT, bytes(data)
+            return error & ALERT, data
 
     def write(self, servo_id: int, address: int, data: bytes) -> int:
         """Write and return the alert bit of the answer."""
@@ -326,7 +331,7 @@ class SdkTransport:
                         answers[servo_id] = (params[0] & ALERT, params[1:])
                         missing.discard(servo_id)
                 if missing and not data and device.isPacketTimeout():
-                    self._drain()
+                    self._drain(STREAM_QUIET)
                     break
         return answers
 
@@ -374,19 +379,19 @@ class SdkTransport:
             reason = ERROR_NAMES.get(code, f"error {code}")
             raise ServoFault(f"{who} refused: {reason}", where=self.port)
 
-    def _drain(self) -> None:
+    def _drain(self, quiet: float = QUIET) -> None:
         """Wait until the line is silent: a late answer must not pass for the next one."""
         device = self._device
         if device is None:
             return
         try:
+            device.clearPort()
             deadline = self._clock.now() + DRAIN_LIMIT
-            while True:
-                self._clock.sleep_until(self._clock.now() + DRAIN_STEP)
-                if not device.waiting or self._clock.now() >= deadline:
+            while self._clock.now() < deadline:
+                self._clock.sleep_until(self._clock.now() + quiet)
+                if not device.waiting:
                     break
                 device.clearPort()
-            device.clearPort()
         except (OSError, termios.error, serial.SerialException) as error:
             raise self._lost(error) from error
 
