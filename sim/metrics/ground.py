@@ -10,6 +10,8 @@ from robots.skeleton import FloatArray, Skeleton
 
 TOE_HEIGHT = 0.05
 """Height of the toe keypoint, m, below which a foot counts as on the floor."""
+SOLE_HEIGHT = 0.01
+"""Height of a sole corner, m, below which it counts as on the floor."""
 SKATE_SPEED = 0.5
 """Horizontal speed, m/s, from which a foot on the floor skates."""
 SKATE_WINDOW = 0.17
@@ -36,37 +38,45 @@ def floating(lowest: NDArray) -> FloatArray:
     return np.maximum(lowest, 0.0)
 
 
-def toe_speed(toes: NDArray, rate: float) -> FloatArray:
-    """Return the horizontal speed of toes on the floor ``[N, 2]`` m/s; 0 for toes in the air.
+def skating(toes: NDArray, rate: float) -> NDArray[np.bool_]:
+    """Return in which moments ``[N, 2]`` a foot skates, by its toe keypoint.
 
-    Mean over the two feet where the toe keypoint is below :data:`TOE_HEIGHT` at both ends of the
-    step.
+    The keypoint is below :data:`TOE_HEIGHT` at both ends of the step and moves horizontally faster
+    than :data:`SKATE_SPEED`, in the step and on average over :data:`SKATE_WINDOW`. Karunratanakul
+    et al., "Guided Motion Diffusion", ICCV 2023, and InterControl, NeurIPS 2024. Feet that swing
+    low count too, so this is for comparison with the literature; :func:`sliding` decides.
 
     Args:
         toes: ``[N, 2, 2, 3]`` m: person, left and right.
         rate: Moments per second.
     """
-    speed, low = _steps(toes, rate)
-    count = np.maximum(low.sum(axis=-1), 1)
-    return (speed * low).sum(axis=-1) / count
-
-
-def skating(toes: NDArray, rate: float) -> NDArray[np.bool_]:
-    """Return in which moments ``[N, 2]`` a foot skates.
-
-    A toe keypoint is below :data:`TOE_HEIGHT` at both ends of the step and moves horizontally
-    faster than :data:`SKATE_SPEED`, in the step and on average over :data:`SKATE_WINDOW`.
-    Karunratanakul et al., "Guided Motion Diffusion", ICCV 2023, and InterControl, NeurIPS 2024.
-    """
-    speed, low = _steps(toes, rate)
+    speed, low = _steps(toes, rate, TOE_HEIGHT)
     mean = uniform_filter1d(speed, max(1, round(SKATE_WINDOW * rate)), axis=0, mode="nearest")
-    return (low & (speed > SKATE_SPEED) & (mean > SKATE_SPEED)).any(axis=-1)
+    skates = low & (speed > SKATE_SPEED) & (mean > SKATE_SPEED)
+    return skates[..., 0] | skates[..., 1]
 
 
-def _steps(toes: NDArray, rate: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Return speed and being low ``[N, 2, 2]`` of toes; the last moment repeats the one before."""
-    speed = np.linalg.norm(np.diff(toes[..., :2], axis=0), axis=-1) * rate
-    low = toes[..., 2] < TOE_HEIGHT
+def sliding(soles: NDArray, rate: float) -> tuple[NDArray[np.bool_], FloatArray]:
+    """Return in which moments ``[N, 2]`` a sole slides, and how fast soles on the floor move.
+
+    A sole corner is below :data:`SOLE_HEIGHT` at both ends of the step; it slides if it moves
+    horizontally faster than :data:`SKATE_SPEED`. The second result ``[N, 2]`` m/s is the mean speed
+    of such corners, 0 with none: Kimodo's "foot skate from height" (NVIDIA, 2026) for soles.
+
+    Args:
+        soles: ``[N, 2, C, 3]`` m: person, sole corners.
+        rate: Moments per second.
+    """
+    speed, low = _steps(soles, rate, SOLE_HEIGHT)
+    mean = (speed * low).sum(axis=-1) / np.maximum(low.sum(axis=-1), 1)
+    slides: NDArray[np.bool_] = (low & (speed > SKATE_SPEED)).sum(axis=-1) > 0
+    return slides, mean
+
+
+def _steps(points: NDArray, rate: float, height: float) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return speed and being low ``[N, 2, P]``; the last moment repeats the one before."""
+    speed = np.linalg.norm(np.diff(points[..., :2], axis=0), axis=-1) * rate
+    low = points[..., 2] < height
     both = low[1:] & low[:-1]
     return np.concatenate([speed, speed[-1:]]), np.concatenate([both, both[-1:]])
 

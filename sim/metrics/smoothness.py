@@ -38,10 +38,11 @@ def jerk(keypoints: NDArray, rate: float) -> FloatArray:
 def bone_deviation(keypoints: NDArray, parents: Sequence[int]) -> FloatArray:
     """Return the largest deviation of a bone from its median length ``[N, 2]``, as a share.
 
-    ``max_j |l_j(t) / median_t l_j - 1|``. A body's bones keep their lengths; networks that put out
-    positions do not know that.
+    ``max_j |l_j(t) - m_j| / max(m_j, 5 cm)`` with ``m_j`` the median over time; the floor is for
+    bones that some skeletons have at length 0. A body's bones keep their lengths; networks that put
+    out positions do not know that.
     """
     child = np.arange(1, len(parents))
     lengths = np.linalg.norm(keypoints[:, :, child] - keypoints[:, :, list(parents[1:])], axis=-1)
-    median = np.maximum(np.median(lengths, axis=0), 1e-6)
-    return np.abs(lengths / median - 1).max(axis=-1)
+    median = np.median(lengths, axis=0)
+    return (np.abs(lengths - median) / np.maximum(median, 0.05)).max(axis=-1)
