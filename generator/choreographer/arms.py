@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from generator.choreographer.frames import apply, pitch, roll, two_bones, unapply, yaw
 from generator.choreographer.pose import Pose
-from generator.choreographer.role import Build, Meeting, Reach, outward
+from generator.choreographer.role import Build, Meeting, Reach, Spot, outward
 from generator.choreographer.style import SIDES, Side
 from generator.choreographer.trunk import hand_swing
 from generator.kinematics import unit
@@ -17,6 +18,8 @@ from robots.skeleton import FloatArray
 
 LONGEST = 0.93
 """Extension up to which a goal is met exactly, as a share of the straight arm."""
+AT_EASE = 0.90
+"""Extension beyond which a touch of the partner's body is moved nearer."""
 SHORTEST = 0.32
 """Shortest distance from shoulder to knuckle, as a share of the straight arm."""
 HANGING = 0.955
@@ -44,8 +47,7 @@ def goal_of(pair: Pair, index: int, reach: Reach) -> FloatArray:
         return np.broadcast_to(goal.offset, (len(pair[0].points), 3))
     owner = pair[index if goal.anchor == "self" else 1 - index]
     offset = goal.offset * owner.role.build.scale
-    carrier = "spine3" if goal.point.endswith("collar") else goal.point  # collars follow the hand
-    return owner.point(goal.point) + apply(owner.frame(carrier), offset)
+    return owner.point(goal.point) + apply(_carrier(owner, goal.point), offset)
 
 
 def meeting_points(pair: Pair, meeting: Meeting) -> tuple[FloatArray, FloatArray]:
@@ -104,21 +106,71 @@ def _level_reach(tops: list[float], builds: tuple[Build, Build]) -> tuple[float,
     return (low, high) if low <= high else (middle, middle)
 
 
+def slide_into_reach(pair: Pair) -> None:
+    """Move touches of the partner's body that are out of reach to where the arm reaches at ease.
+
+    The hand keeps its distance from the touched keypoint, so the labelled gap stays: the offset
+    turns towards the shoulder of the arm, no farther than needed. A short arm that does not get
+    round to the back so comes to lie on the flank.
+    """
+    for index, pose in enumerate(pair):
+        for order, reach in enumerate(pose.role.reaches):
+            goal = reach.goal
+            if reach.exact is None or not isinstance(goal, Spot) or goal.offset.ndim > 1:
+                continue
+            owner = pair[index if goal.anchor == "self" else 1 - index]
+            to_shoulder = pose.point(f"{reach.side}_shoulder") - owner.point(goal.point)
+            inside = _inside(pose, reach.exact)
+            way = unapply(_carrier(owner, goal.point), to_shoulder)[inside].mean(axis=0)
+            for share in np.linspace(0.0, 1.0, 21):
+                turned = replace(goal, offset=_turned(goal.offset, way, float(share)))
+                pose.role.reaches[order] = replace(reach, goal=turned)
+                if _extension(pair, index, pose.role.reaches[order]) <= AT_EASE:
+                    break
+
+
+def _turned(vector: NDArray, toward: NDArray, share: float) -> FloatArray:
+    """Return a vector turned towards another by a share of the angle between them."""
+    length = float(np.linalg.norm(vector))
+    start, end = vector / length, toward / float(np.linalg.norm(toward))
+    angle = float(np.arccos(np.clip(start @ end, -1.0, 1.0)))
+    if angle < 1e-6 or angle > np.pi - 1e-6:
+        return vector
+    mix = np.sin((1 - share) * angle) * start + np.sin(share * angle) * end
+    return length * mix / np.sin(angle)
+
+
+def _inside(pose: Pose, span: tuple[float, float]) -> NDArray[np.bool_]:
+    return (pose.role.times >= span[0]) & (pose.role.times <= span[1])
+
+
+def _carrier(owner: Pose, point: str) -> FloatArray:
+    """Return the frame in which offsets from a point count; collars follow the hand, spines not."""
+    return owner.frame("spine3" if point.endswith("collar") else point)
+
+
+def _extension(pair: Pair, index: int, reach: Reach) -> float:
+    """Return the longest span of a reach within its exact window, as a share of the arm."""
+    pose = pair[index]
+    span = goal_of(pair, index, reach) - pose.point(f"{reach.side}_shoulder")
+    inside = _inside(pose, reach.exact or (0.0, 0.0))
+    return float(np.linalg.norm(span[inside], axis=1).max()) / pose.role.build.arm
+
+
 def extension(pair: Pair) -> float:
     """Return the longest reach within the windows that must be met, as a share of the arm.
 
     Uses the shoulders as they are before they follow the hand. 0 if nothing must be met.
     """
-    longest = 0.0
-    for index, pose in enumerate(pair):
-        times, build = pose.role.times, pose.role.build
-        for reach in pose.role.reaches:
-            if reach.exact is None:
-                continue
-            inside = (times >= reach.exact[0]) & (times <= reach.exact[1])
-            span = goal_of(pair, index, reach) - pose.point(f"{reach.side}_shoulder")
-            longest = max(longest, float(np.linalg.norm(span[inside], axis=1).max()) / build.arm)
-    return longest
+    return max(
+        (
+            _extension(pair, index, reach)
+            for index, pose in enumerate(pair)
+            for reach in pose.role.reaches
+            if reach.exact is not None
+        ),
+        default=0.0,
+    )
 
 
 def _aim(pair: Pair, index: int, side: Side) -> tuple[FloatArray, FloatArray]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from generator.choreographer.arms import pose_arms
+from generator.choreographer.arms import pose_arms, slide_into_reach
 from generator.choreographer.interaction import lookup
 from generator.choreographer.pose import Pose
 from generator.choreographer.role import Build
@@ -55,6 +55,7 @@ def choreograph(
         return stage, pose_trunks(stage)
 
     stage, pair = solve(entry.spacing, attempt)
+    slide_into_reach(pair)
     pose_arms(pair)
     motions = [pose.motion(FPS) for pose in pair]
     touches = tuple(stage.touches)

@@ -19,7 +19,7 @@ def _travel(times: NDArray, speed: NDArray) -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(times))])
 
 
-@interaction(Apart(0.78))
+@interaction(Apart(0.80, least=0.70))
 def walk_together(stage: Stage) -> None:
     """Both walk side by side in the same direction and look at each other now and then."""
     beat = stage.phases(approach=0.4, prepare=1.0, hold=3.2, release=1.0, depart=0.6)
@@ -104,7 +104,7 @@ def mirror_dance(stage: Stage) -> None:
 @interaction(ByTouch(0.01))
 def waltz(stage: Stage) -> None:
     """Both take closed hold and turn over the floor in three-four time."""
-    beat = stage.phases(approach=0.3, prepare=1.0, hold=5.0, release=0.9, depart=0.4)
+    beat = stage.phases(approach=0.3, prepare=1.0, hold=4.4, release=0.9, depart=0.4)
     times = stage.times
     going = window(
         times, beat.prepare.end - 0.2, beat.hold.at(0.2), beat.hold.at(0.8), beat.hold.end
@@ -144,15 +144,17 @@ def waltz(stage: Stage) -> None:
         end=end,
         elbow=(0.0, 0.8, -1.0),
     )
+    # A partner too small for the shoulder lays the hand on the chest, inside the leader's arm.
+    small = stage.builds[0].scale > 1.08 * stage.builds[1].scale
     stage.lay_on(
         stage.second,
         "left",
-        "right_collar",
-        (0.06, -0.08, 0.12),
+        "spine3" if small else "right_collar",
+        (0.15, -0.05, 0.04) if small else (0.06, -0.08, 0.12),
         on=on,
         start=start,
         end=end,
-        elbow=(0.0, 1.0, 0.2),
+        elbow=(-0.2, 0.3, -1.0) if small else (0.0, 1.0, 0.2),
     )
 
 

@@ -19,45 +19,48 @@ BOX_HALF_WIDTH = 0.13
 @interaction(ByTouch(-0.005))
 def hug(stage: Stage) -> None:
     """Both open their arms, embrace and hold each other, one arm over and one under."""
-    beat = stage.phases(approach=1.3, prepare=0.5, contact=0.7, hold=1.4, release=0.9, depart=1.1)
+    beat = stage.phases(approach=1.3, prepare=0.6, contact=0.8, hold=1.4, release=0.9, depart=1.2)
     stage.face_to_face(arrive=beat.prepare.end)
     stage.step_back(beat.depart, far=0.3)
-    held = Span(beat.hold.start, beat.hold.end)
+    held = beat.hold
     on = window(stage.times, beat.prepare.start, held.start, held.end, beat.depart.at(0.6))
     opening = window(
         stage.times,
-        beat.approach.at(0.6),
+        beat.approach.at(0.5),
         beat.prepare.end,
-        beat.depart.start,
-        beat.depart.at(0.5),
+        beat.release.at(0.6),
+        beat.depart.at(0.8),
     )
-    for role, ahead in zip(stage.people, (1.0, -1.0), strict=True):
+    sizes = [build.scale for build in stage.builds]
+    for role, ahead, taller in zip(
+        stage.people, (1.0, -1.0), (sizes[0] / sizes[1], sizes[1] / sizes[0]), strict=True
+    ):
         role.path[:, 1] += 0.05 * stage.scale * ahead
         role.lean += 0.16 * on
         role.tilt -= 0.08 * on
         role.gaze -= 0.9 * on
-        for side, height in zip(SIDES, (-0.24, 0.30), strict=True):
+        # Right over, left under; if sizes differ, the tall one's arms over, the other's under.
+        over = {"right": taller > 0.95, "left": taller > 1.05}
+        for side in SIDES:
+            height = 0.30 if over[side] else -0.24
             role.gesture(side, (0.32, 0.42, height), opening, elbow=(-0.2, 1.0, -0.2))
-        stage.lay_on(
-            role,
-            "right",
-            "spine3",
-            (-0.12, 0.08, 0.16),
-            on=held,
-            start=beat.prepare.at(0.8),
-            end=beat.depart.at(0.3),
-            elbow=(0.0, 1.0, 0.4),
-        )
-        stage.lay_on(
-            role,
-            "left",
-            "spine2",
-            (-0.12, -0.11, -0.05),
-            on=held,
-            start=beat.prepare.at(0.8),
-            end=beat.depart.at(0.3),
-            elbow=(0.0, 0.7, -1.0),
-        )
+            out = -outward(side)  # on the same side of the stage, hence the partner's other side
+            if over[side]:
+                point, offset, elbow = "spine3", (-0.12, 0.08 * out, 0.16), (0.0, 1.0, 0.4)
+            elif taller > 0.95:
+                point, offset, elbow = "spine2", (-0.12, 0.11 * out, -0.05), (0.0, 0.7, -1.0)
+            else:
+                point, offset, elbow = "spine1", (-0.10, 0.12 * out, 0.0), (0.0, 0.7, -1.0)
+            stage.lay_on(
+                role,
+                side,
+                point,
+                offset,
+                on=held,
+                start=beat.prepare.at(0.8),
+                end=beat.depart.at(0.3),
+                elbow=elbow,
+            )
 
 
 @interaction(ByReach(0.80))

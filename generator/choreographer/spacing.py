@@ -28,7 +28,7 @@ class ByReach:
 
     share: float = 0.85
     """0..0.92; the style's distance changes it a little."""
-    room: float = 0.04
+    room: float = 0.18
     """Least gap between trunks and legs, m."""
 
 
@@ -46,6 +46,8 @@ class Apart:
 
     distance: float = 1.5
     """Between the pelvises, m for people of 1.70 m; times the style's distance."""
+    least: float = 0.0
+    """Shortest distance whatever the style, m for people of 1.70 m."""
 
 
 Spacing = ByReach | ByTouch | Apart
@@ -60,7 +62,8 @@ def solve(spacing: Spacing, attempt: Attempt) -> tuple[Stage, Pair]:
     """
     stage, pair = attempt(1.0)
     if isinstance(spacing, Apart):
-        return attempt(spacing.distance * stage.scale * stage.style.distance)
+        wide = max(spacing.distance * stage.style.distance, spacing.least)
+        return attempt(wide * stage.scale)
     if isinstance(spacing, ByTouch):
         return attempt(_root(lambda near: body_gap(attempt(near)[1]) - spacing.gap))
     share = spacing.share * (1 + 0.25 * (stage.style.distance - 1))
