@@ -151,16 +151,17 @@ def _require_upright(people: tuple[NDArray, NDArray], up: str, where: str) -> No
         raise MotionFileError(
             "both people stand on their heads", where=where, hint="the up axis points down"
         )
-    # Across: y of a z-up reading is -z of the file when y is truly up, and so on.
-    for axis in (0, 1):
+    # The file's axes that stand where x and y of the z-up world are.
+    names = ("z", "x") if up == "y" else ("x", "y")
+    for axis, name in enumerate(names):
         across = [rise[axis] for rise in rises]
         same_way = across[0] * across[1] > 0
         if max(upward) < 0.2 and min(np.abs(across)) > 0.6 and same_way:
-            other = {"y": "z", "z": "y"}.get(up, "y")
+            advice = "turn the file, only y and z are read" if name == "x" else f"give --up {name}"
             raise MotionFileError(
                 "both people lie on their sides through the whole clip",
                 where=where,
-                hint=f"it looks like {other} is up: give --up {other}",
+                hint=f"it looks like {name} is up: {advice}",
             )
 
 

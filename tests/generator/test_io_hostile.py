@@ -178,7 +178,7 @@ def damages(draw) -> Damage:
 
 @pytest.mark.parametrize("name", FORMATS)
 @settings(
-    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(damage=damages(), which=st.integers(0, 1))
 def test_a_damaged_file_gives_a_motion_or_a_motion_file_error(
@@ -236,7 +236,7 @@ JSON = st.recursive(
 
 @pytest.mark.parametrize("name", ["own", "npz", "named", "smplx"])
 @settings(
-    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(data=st.data())
 def test_an_intact_archive_with_wrong_content_gives_a_motion_or_a_motion_file_error(

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from generator.io.assembly import to_z_up
 from generator.io.plausible import require_plausible, require_sane, stature, unit_hint
 from generator.kinematics import forward_kinematics
 from robots.errors import MotionFileError
@@ -56,11 +57,15 @@ def test_unit_hint_is_silent_when_nothing_fits():
     assert unit_hint(float("nan")) == ""
 
 
-@pytest.mark.parametrize(("up", "other"), [("z", "y"), ("y", "z")])
-def test_a_wrong_up_axis_names_the_other(up, other):
-    people = standing()[..., (1, 2, 0)], standing(at=(0, 1))[..., (1, 2, 0)]  # y up, read as z up
-    with pytest.raises(MotionFileError, match=f"on their sides.*give --up {other}"):
-        check(*people, up=up)
+@pytest.mark.parametrize(
+    ("up", "true_up", "advice"),
+    [("z", "y", "give --up y"), ("y", "z", "give --up z"), ("z", "x", "turn"), ("y", "x", "turn")],
+)
+def test_a_wrong_up_axis_names_the_true_one(up, true_up, advice):
+    in_file = {"x": (2, 0, 1), "y": (1, 2, 0), "z": (0, 1, 2)}[true_up]
+    a, b = (to_z_up(standing(at=at)[..., in_file], up) for at in ((0, 0), (0, 1)))
+    with pytest.raises(MotionFileError, match=f"on their sides.*{true_up} is up: {advice}"):
+        check(a, b, up=up)
 
 
 def test_a_downward_axis_is_noticed():
