@@ -41,7 +41,7 @@ def read_interhuman(paths: tuple[Path, Path], said: Statement) -> DuetMotion:
             said.settle_scale(where, 1.0),
             where,
             f"InterHuman {paths[0].stem}",
-            _sentence(paths[0]),
+            sentence(paths[0]),
             LICENCE,
         )
     )
@@ -57,11 +57,12 @@ def _keypoints(path: Path) -> FloatArray:
     return floats(array[:, :66], str(path)).reshape(-1, 22, 3)
 
 
-def _sentence(path: Path) -> str:
+def sentence(path: Path) -> str:
     """Return the first sentence that the dataset gives the clip, or ``""``."""
-    annotation = path.absolute().parents[2] / "annots" / f"{path.stem}.txt"
-    if len(path.absolute().parents) < 4 or not annotation.is_file():
+    above = path.absolute().parents
+    if len(above) < 3:
         return ""
-    for _, words in word_lines(annotation):
-        return " ".join(words)[:1000]
-    return ""
+    annotation = above[2] / "annots" / f"{path.stem}.txt"
+    if not annotation.is_file():
+        return ""
+    return next((" ".join(words)[:1000] for _, words in word_lines(annotation)), "")

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from generator.io import read_motion
+from generator.io.interhuman import sentence
 from generator.kinematics import forward_kinematics
 from robots.errors import MotionFileError
 from robots.skeleton import human_skeleton
@@ -202,6 +205,13 @@ def test_interhuman_pairs_are_read_from_either_file(make_duet, tmp_path, given):
     assert motion.text == "Two people wave."
     assert "CC BY-NC-SA" in motion.licence
     fits(motion)
+
+
+def test_interhuman_files_may_lie_anywhere(make_duet, tmp_path):
+    """Only the dataset's own layout has sentences; a path may have fewer folders than that."""
+    path = save_interhuman(tmp_path, make_duet().keypoints) / "person1" / "1000.npy"
+    assert read_motion(path).text == ""
+    assert sentence(Path("/1000.npy")) == ""
 
 
 def test_interhuman_without_the_partner_says_which_file_is_missing(make_duet, tmp_path):
