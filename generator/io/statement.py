@@ -62,7 +62,10 @@ class Statement:
             if correctable and self.fps is not None:
                 return self.fps
             raise MotionFileError(
-                f"states {stated:g} frames per second", where=where, allowed="1 to 1000"
+                f"states {stated:g} frames per second",
+                where=where,
+                allowed="1 to 1000",
+                hint="give the true rate with --fps" if correctable else "",
             )
         if self.fps is None or stated is None or correctable:
             value = self.fps if self.fps is not None else stated
