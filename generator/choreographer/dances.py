@@ -74,14 +74,14 @@ def circle_dance(stage: Stage) -> None:
 @interaction(Apart(1.4))
 def mirror_dance(stage: Stage) -> None:
     """One moves arms and trunk slowly, the other mirrors every movement."""
-    beat = stage.phases(approach=0.8, prepare=0.6, hold=4.2, release=1.0, depart=0.3)
+    beat = stage.phases(approach=0.8, prepare=0.6, hold=4.0, release=1.1, depart=0.5)
     stage.face_to_face(arrive=beat.prepare.end, travel=(0.05, 0.25))
     times = stage.times
     delay = stage.answer(stage.pick(0.05, 0.2))
     count = int(stage.rng.integers(4, 6))
     moments = np.linspace(beat.prepare.start, beat.hold.end, count)
     size = stage.style.amplitude
-    low, high = (0.18, 0.10, -0.20), (0.38, 0.20 + 0.25 * size, 0.10 + 0.38 * size)
+    low, high = (0.18, 0.10, -0.20), (0.38, 0.20 + 0.25 * size, 0.12 + 0.30 * size)
     poses: dict[Side, list[FloatArray]] = {
         side: [stage.rng.uniform(low, high) for _ in moments] for side in SIDES
     }
@@ -90,9 +90,7 @@ def mirror_dance(stage: Stage) -> None:
     for role, mirrored in zip(stage.people, (False, True), strict=True):
         clock = times - (delay if mirrored else 0.0)
         sign = -1.0 if mirrored else 1.0
-        on = window(
-            clock, beat.approach.at(0.5), beat.prepare.end, beat.hold.end, beat.end - delay - 0.1
-        )
+        on = window(clock, beat.approach.at(0.2), beat.prepare.end, beat.hold.end, beat.end - delay)
         role.tilt += sign * on * through(clock, list(zip(moments, sway, strict=True)))
         role.twist += sign * on * through(clock, list(zip(moments, turns, strict=True)))
         for side in SIDES:
@@ -134,6 +132,19 @@ def waltz(stage: Stage) -> None:
         shift=shift,
         elbow=(-0.1, 0.8, -0.9),
     )
+    if stage.builds[0].scale > 1.08 * stage.builds[1].scale:
+        # Arms of a tall leader and a small partner would cross: they dance in two-hand hold.
+        stage.meet(
+            ("right", "left"),
+            on=on,
+            start=start,
+            end=end,
+            height=-0.14,
+            apart=(PALM_TO_PALM, 0.0, 0.0),
+            shift=np.tile((0.0, -0.10, 0.0), (len(times), 1)),
+            elbow=(-0.2, 0.7, -1.0),
+        )
+        return
     stage.lay_on(
         stage.first,
         "right",
@@ -144,17 +155,15 @@ def waltz(stage: Stage) -> None:
         end=end,
         elbow=(0.0, 0.8, -1.0),
     )
-    # A partner too small for the shoulder lays the hand on the chest, inside the leader's arm.
-    small = stage.builds[0].scale > 1.08 * stage.builds[1].scale
     stage.lay_on(
         stage.second,
         "left",
-        "spine3" if small else "right_collar",
-        (0.15, -0.05, 0.04) if small else (0.06, -0.08, 0.12),
+        "right_collar",
+        (0.06, -0.08, 0.12),
         on=on,
         start=start,
         end=end,
-        elbow=(-0.2, 0.3, -1.0) if small else (0.0, 1.0, 0.2),
+        elbow=(0.0, 1.0, 0.2),
     )
 
 

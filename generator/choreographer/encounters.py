@@ -20,7 +20,7 @@ BOX_HALF_WIDTH = 0.13
 def hug(stage: Stage) -> None:
     """Both open their arms, embrace and hold each other, one arm over and one under."""
     beat = stage.phases(approach=1.3, prepare=0.6, contact=0.8, hold=1.4, release=0.9, depart=1.2)
-    stage.face_to_face(arrive=beat.prepare.end)
+    stage.face_to_face(arrive=beat.prepare.at(0.4))
     stage.step_back(beat.depart, far=0.3)
     held = beat.hold
     on = window(stage.times, beat.prepare.start, held.start, held.end, beat.depart.at(0.6))
@@ -46,11 +46,11 @@ def hug(stage: Stage) -> None:
             role.gesture(side, (0.32, 0.42, height), opening, elbow=(-0.2, 1.0, -0.2))
             out = -outward(side)  # on the same side of the stage, hence the partner's other side
             if over[side]:
-                point, offset, elbow = "spine3", (-0.12, 0.08 * out, 0.16), (0.0, 1.0, 0.4)
+                point, offset, elbow = "spine3", (-0.12, 0.08 * out, 0.18), (0.0, 1.0, 0.4)
             elif taller > 0.95:
                 point, offset, elbow = "spine2", (-0.12, 0.11 * out, -0.05), (0.0, 0.7, -1.0)
             else:
-                point, offset, elbow = "spine1", (-0.10, 0.12 * out, 0.0), (0.0, 0.7, -1.0)
+                point, offset, elbow = "spine1", (-0.10, 0.14 * out, 0.0), (0.0, 0.7, -1.0)
             stage.lay_on(
                 role,
                 side,
@@ -98,7 +98,7 @@ def push(stage: Stage) -> None:
 def box(stage: Stage) -> None:
     """Both keep up their guard, trade straight punches and catch them with the glove."""
     beat = stage.phases(approach=1.0, prepare=0.6, hold=3.4, release=0.8, depart=0.4)
-    stage.face_to_face(arrive=beat.prepare.end, travel=(0.2, 0.4))
+    stage.face_to_face(arrive=beat.prepare.at(0.4), travel=(0.2, 0.4))
     times = stage.times
     guard = window(
         times, beat.approach.at(0.3), beat.prepare.at(0.5), beat.release.start, beat.end - 0.1
@@ -145,7 +145,7 @@ def _punch(stage: Stage, moment: float) -> None:
 def pass_object(stage: Stage) -> None:
     """One carries something in both hands and gives it to the other, who takes it."""
     beat = stage.phases(approach=1.5, prepare=0.6, contact=0.2, hold=0.6, release=0.9, depart=1.0)
-    stage.face_to_face(arrive=beat.prepare.end)
+    stage.face_to_face(arrive=beat.prepare.at(0.4))
     first, second = stage.people
     times = stage.times
     carry = (0.30, BOX_HALF_WIDTH, -0.14)

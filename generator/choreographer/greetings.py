@@ -14,7 +14,7 @@ from generator.choreographer.stage import PALM_TO_PALM, Stage
 def handshake(stage: Stage) -> None:
     """Both walk up, clasp right hands and shake them."""
     beat = stage.phases(approach=1.4, prepare=0.5, contact=0.15, hold=1.3, release=0.7, depart=0.9)
-    stage.face_to_face(arrive=beat.prepare.end)
+    stage.face_to_face(arrive=beat.prepare.at(0.4))
     shift = np.zeros((len(stage.times), 3))
     shift[:, 2] = stage.rhythm(beat.hold, 2.2, stage.pick(0.025, 0.04))
     start, end = beat.approach.at(0.7), beat.release.end
@@ -38,7 +38,7 @@ def handshake(stage: Stage) -> None:
 def high_five(stage: Stage) -> None:
     """Both raise the right hand and clap it against the other's, above the shoulders."""
     beat = stage.phases(approach=1.4, prepare=0.5, contact=0.12, hold=0.12, release=0.7, depart=1.0)
-    stage.face_to_face(arrive=beat.prepare.end)
+    stage.face_to_face(arrive=beat.prepare.at(0.4))
     start, end = beat.approach.at(0.72), beat.depart.at(0.35)
     stage.meet(
         ("right", "right"),
@@ -59,7 +59,7 @@ def high_five(stage: Stage) -> None:
 def fist_bump(stage: Stage) -> None:
     """Both hold out the right fist and knock the knuckles together."""
     beat = stage.phases(approach=1.3, prepare=0.5, contact=0.12, hold=0.15, release=0.7, depart=1.0)
-    stage.face_to_face(arrive=beat.prepare.end)
+    stage.face_to_face(arrive=beat.prepare.at(0.4))
     start, end = beat.approach.at(0.75), beat.release.end
     stage.meet(
         ("right", "right"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.optimize import brentq
@@ -20,6 +21,8 @@ Attempt = Callable[[float], tuple[Stage, Pair]]
 
 NEAREST, FARTHEST = 0.15, 1.9
 """Range of distances between pelvises that is searched, m."""
+USUAL = 0.8
+"""Where the search starts, m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,20 +63,18 @@ def solve(spacing: Spacing, attempt: Attempt) -> tuple[Stage, Pair]:
     method: the distance at which hands still meet at ease, unless bodies are then too close, or the
     distance at which bodies just touch.
     """
-    stage, pair = attempt(1.0)
+    play = cache(attempt)
+    stage, _ = play(USUAL)
     if isinstance(spacing, Apart):
         wide = max(spacing.distance * stage.style.distance, spacing.least)
-        return attempt(wide * stage.scale)
+        return play(wide * stage.scale)
     if isinstance(spacing, ByTouch):
-        return attempt(_root(lambda near: body_gap(attempt(near)[1]) - spacing.gap))
-    share = spacing.share * (1 + 0.25 * (stage.style.distance - 1))
-    share = min(share, 0.91)
-    reach = _root(lambda near: extension(attempt(near)[1]) - share)
-    stage, pair = attempt(reach)
-    if body_gap(pair) < spacing.room:
-        room = _root(lambda near: body_gap(attempt(near)[1]) - spacing.room)
-        stage, pair = attempt(room)
-    return stage, pair
+        return play(_root(lambda near: body_gap(play(near)[1]) - spacing.gap, 0.002))
+    share = min(spacing.share * (1 + 0.25 * (stage.style.distance - 1)), 0.91)
+    near = _root(lambda near: extension(play(near)[1]) - share, 0.008)
+    if body_gap(play(near)[1]) < spacing.room:
+        near = _root(lambda near: body_gap(play(near)[1]) - spacing.room, 0.008)
+    return play(near)
 
 
 def body_gap(pair: Pair) -> float:
@@ -84,14 +85,13 @@ def body_gap(pair: Pair) -> float:
     return min(float(gap.min()) for gap in gaps.values())
 
 
-def _root(excess: Callable[[float], float], tolerance: float = 0.003) -> float:
+def _root(excess: Callable[[float], float], tolerance: float) -> float:
     """Return the distance at which a growing function crosses zero, or the end that is nearer."""
-    low, high = excess(NEAREST), excess(FARTHEST)
-    if low >= 0.0:
-        return NEAREST
-    if high <= 0.0:
-        return FARTHEST
-    return float(brentq(excess, NEAREST, FARTHEST, xtol=tolerance))  # type: ignore[arg-type]
+    far_side = excess(USUAL) < 0.0
+    low, high = (USUAL, FARTHEST) if far_side else (NEAREST, USUAL)
+    if (excess(high) if far_side else -excess(low)) <= 0.0:
+        return high if far_side else low
+    return float(brentq(excess, low, high, xtol=tolerance))  # type: ignore[arg-type]
 
 
 def pose_trunks(stage: Stage) -> Pair:

@@ -29,11 +29,25 @@ BODIES = {
     "small and tall": (0.85, 1.15),
     "smaller": (1.0, 0.85),
 }
-CASES = [(style, "alike", seed) for seed, style in enumerate(STYLES)]
-CASES += [("ordinary", body, seed) for seed, body in enumerate(BODIES, start=10)]
+CASES = [
+    ("ordinary", "alike", 0),
+    ("fast", "alike", 2),
+    ("left-handed, swapped", "alike", 5),
+    ("ordinary", "tall and small", 11),
+]
+MORE = [
+    ("slow", "alike", 1),
+    ("near", "alike", 3),
+    ("far", "alike", 4),
+    ("ordinary", "small and tall", 12),
+    ("ordinary", "smaller", 13),
+]
 HANDS = ("left_hand", "right_hand")
 
-every_case = pytest.mark.parametrize(("style", "bodies", "seed"), CASES)
+every_case = pytest.mark.parametrize(
+    ("style", "bodies", "seed"),
+    [*CASES, *(pytest.param(*case, marks=pytest.mark.slow) for case in MORE)],
+)
 every_interaction = pytest.mark.parametrize("name", repertoire())
 
 
