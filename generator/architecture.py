@@ -10,6 +10,11 @@ from robots.errors import SpecError
 FEATURES = 262
 """Numbers per person and frame in the non-canonical representation (eq. 2)."""
 
+_CHOICES = {
+    "representation": ("non_canonical", "canonical"),
+    "conditioning": ("mutual", "concat"),
+}
+
 
 @dataclass(frozen=True, slots=True)
 class DenoiserConfig:
@@ -37,17 +42,25 @@ class DenoiserConfig:
     """Width of the condition vector."""
     representation: Literal["non_canonical", "canonical"] = "non_canonical"
     """What the numbers mean: eq. (2), or eq. (1) for the row "canonical rep"."""
-    conditioning: Literal["adaptive_norm", "concat"] = "adaptive_norm"
-    """Time and text modulate every layer norm, or stand as one more frame in front of the motion
-    (row "concat-conditioning")."""
+    conditioning: Literal["mutual", "concat"] = "mutual"
+    """How a person knows of the other: attention to the other's hidden states, or (row
+    "concat-conditioning") the other's noisy motion beside the own as input, and no such layers."""
     share_weights: bool = True
     """Whether both persons have the same network (row "w/o weights sharing")."""
 
     def __post_init__(self) -> None:
         """Validate."""
         for name in ("width", "layers", "heads", "feedforward", "features", "text_width"):
-            if getattr(self, name) < 1:
-                raise SpecError(f"{name} is {getattr(self, name)}", allowed="1 or more")
+            value = getattr(self, name)
+            if not isinstance(value, int) or value < 1:
+                raise SpecError(f"{name} is {value!r}", where="denoiser", allowed="1 or more")
+        for name, allowed in _CHOICES.items():
+            if getattr(self, name) not in allowed:
+                raise SpecError(
+                    f"{name} is {getattr(self, name)!r}",
+                    where="denoiser",
+                    allowed=" or ".join(allowed),
+                )
         if self.width % self.heads or self.width % 2:
             raise SpecError(
                 f"width {self.width} does not divide by {self.heads} heads and by 2",

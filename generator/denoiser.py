@@ -3,13 +3,15 @@
 Each person's noisy motion runs through the same transformer. In every block a person attends to
 itself and then to the *other person's hidden states at the block's input*, so neither waits for the
 other, and exchanging the persons exchanges the outputs exactly (eq. 7). Because the weights are
-shared, both persons are stacked along the batch and computed as one: person a in the first half,
-b in the second, and "the partner" is the batch rolled by half.
+shared, both persons are computed as one batch ``[2, B, T, D]``, and "the partner" is that batch
+flipped along its first axis.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -22,27 +24,21 @@ MAX_POSITIONS = 5000
 
 
 def sinusoids(positions: int, width: int) -> Tensor:
-    """Return the table ``[positions, width]`` of sines (even) and cosines (odd), base 10000."""
+    """Return the table ``[positions, width]`` of sines (even) and cosines (odd), base 10000.
+
+    In float32 throughout, as published checkpoints made theirs: at position 5000 that is off by
+    2e-4, which their weights were trained with. The last bits depend on the machine's ``exp``, so
+    the table is saved with the weights.
+    """
     rate = torch.exp(torch.arange(0, width, 2) * (-math.log(10_000.0) / width))
     angle = torch.arange(positions)[:, None] * rate
     return torch.stack([angle.sin(), angle.cos()], dim=-1).reshape(positions, width)
 
 
-class AdaptiveNorm(nn.Module):
-    """Layer norm whose scale and shift come from time and text: ``h (1 + scale) + shift``."""
-
-    def __init__(self, width: int) -> None:
-        """Start as a plain layer norm: scale and shift are zero."""
-        super().__init__()
-        self.modulation = nn.Linear(width, 2 * width)
-        nn.init.zeros_(self.modulation.weight)
-        nn.init.zeros_(self.modulation.bias)
-
-    def forward(self, hidden: Tensor, condition: Tensor) -> Tensor:
-        """Return ``[B, T, D]`` normed; ``condition [B, D]`` is already activated."""
-        scale, shift = self.modulation(condition)[:, None].chunk(2, dim=-1)
-        normed = functional.layer_norm(hidden, hidden.shape[-1:], eps=1e-6)
-        return torch.addcmul(shift, normed, 1 + scale)
+def adaptive_norm(hidden: Tensor, scale: Tensor, shift: Tensor) -> Tensor:
+    """Return layer norm without weights, then ``h (1 + scale) + shift``; both ``[B, 1, D]``."""
+    normed = functional.layer_norm(hidden, hidden.shape[-1:], eps=1e-6)
+    return torch.addcmul(shift, normed, 1 + scale)
 
 
 class Attention(nn.Module):
@@ -53,39 +49,40 @@ class Attention(nn.Module):
     """
 
     def __init__(self, width: int, heads: int, dropout: float) -> None:
-        """Make packed query, key and value weights."""
+        """Make the weights of queries, of keys with values, and of the output."""
         super().__init__()
         self.heads, self.dropout = heads, dropout
-        self.project = nn.Linear(width, 3 * width)
+        self.query = nn.Linear(width, width)
+        self.key_value = nn.Linear(width, 2 * width)
         self.out = nn.Linear(width, width)
-        nn.init.xavier_uniform_(self.project.weight)
-        nn.init.zeros_(self.project.bias)
+        bound = math.sqrt(6 / (width + 3 * width))  # Xavier's for one packed matrix
+        for layer in (self.query, self.key_value):
+            nn.init.uniform_(layer.weight, -bound, bound)
+            nn.init.zeros_(layer.bias)
         nn.init.zeros_(self.out.bias)
 
     def forward(self, queries: Tensor, context: Tensor, keep: Tensor | None) -> Tensor:
-        """Return ``[B, T, D]``.
+        """Return ``[..., T, D]``.
 
         Args:
-            queries: ``[B, T, D]``.
-            context: ``[B, S, D]``, source of keys and values.
-            keep: ``[B, 1, 1, S + 1]``, which keys may be attended to; ``None``: all.
+            queries: ``[..., T, D]``.
+            context: ``[..., S, D]``, source of keys and values.
+            keep: ``[..., 1, 1, S + 1]``, which keys may be attended to; ``None``: all.
         """
-        width = queries.shape[-1]
-        if queries is context:
-            q, k, v = self.project(queries).chunk(3, dim=-1)
-        else:
-            weight, bias = self.project.weight, self.project.bias
-            q = functional.linear(queries, weight[:width], bias[:width])
-            k, v = functional.linear(context, weight[width:], bias[width:]).chunk(2, dim=-1)
-        q = self._split(q)
-        k, v = (functional.pad(self._split(part), (0, 0, 0, 1)) for part in (k, v))
+        q = self._split(self.query(queries))
+        keys_values = self.key_value(context).chunk(2, dim=-1)
+        k, v = (functional.pad(self._split(part), (0, 0, 0, 1)) for part in keys_values)
         mixed = functional.scaled_dot_product_attention(
-            q, k, v, attn_mask=keep, dropout_p=self.dropout if self.training else 0.0
+            q.flatten(0, -4),
+            k.flatten(0, -4),
+            v.flatten(0, -4),
+            attn_mask=None if keep is None else keep.flatten(0, -4),
+            dropout_p=self.dropout if self.training else 0.0,
         )
-        return self.out(mixed.transpose(1, 2).flatten(2))
+        return self.out(mixed.transpose(1, 2).reshape(queries.shape))
 
     def _split(self, part: Tensor) -> Tensor:
-        return part.unflatten(-1, (self.heads, -1)).transpose(1, 2)
+        return part.unflatten(-1, (self.heads, -1)).transpose(-2, -3)
 
 
 class FeedForward(nn.Module):
@@ -101,35 +98,78 @@ class FeedForward(nn.Module):
         nn.init.zeros_(self.outer.bias)
 
     def forward(self, hidden: Tensor) -> Tensor:
-        """Return ``[B, T, D]``."""
+        """Return ``[..., D]``."""
         return self.outer(self.dropout(functional.gelu(self.inner(hidden))))
 
 
 class Block(nn.Module):
-    """Self attention, attention to the partner (eq. 10), feed-forward; all residual."""
+    """Self attention, attention to the partner (eq. 10), feed-forward; all residual.
+
+    Before each stands a layer norm whose scale and shift come from time and text. All of a block
+    come out of one linear, which starts at zero: plain layer norms.
+    """
 
     def __init__(self, config: DenoiserConfig) -> None:
         """Make the layers of one block."""
         super().__init__()
         width = config.width
-        self.self_norm = AdaptiveNorm(width)
+        self.mutual = config.conditioning == "mutual"
+        self.norms = 4 if self.mutual else 2
+        self.modulation = nn.Linear(width, 2 * self.norms * width)
+        nn.init.zeros_(self.modulation.weight)
+        nn.init.zeros_(self.modulation.bias)
         self.self_attention = Attention(width, config.heads, config.dropout)
-        self.mutual_norm = AdaptiveNorm(width)
-        self.partner_norm = AdaptiveNorm(width)
-        self.mutual_attention = Attention(width, config.heads, config.dropout)
-        self.feedforward_norm = AdaptiveNorm(width)
+        if self.mutual:
+            self.mutual_attention = Attention(width, config.heads, config.dropout)
         self.feedforward = FeedForward(width, config.feedforward, config.dropout)
 
     def forward(
-        self, hidden: Tensor, partner: Tensor, condition: Tensor, keep: Tensor | None
+        self, hidden: Tensor, partner: Tensor, modulation: Tensor, keep: Tensor | None
     ) -> Tensor:
-        """Return the next hidden states ``[B, T, D]`` of one person given the partner's."""
-        own = self.self_norm(hidden, condition)
+        """Return the next hidden states.
+
+        Args:
+            hidden: ``[P, B, T, D]`` of one or both persons.
+            partner: ``[P, B, T, D]``, the other person's at this block's input.
+            modulation: ``[B, 2 norms D]``: scale and shift before self attention, feed-forward,
+                mutual attention's queries and its context.
+            keep: ``[P, B, 1, 1, T + 1]``, which frames count.
+        """
+        parts = modulation[:, None].chunk(2 * self.norms, dim=-1)
+        own = adaptive_norm(hidden, *parts[0:2])
         hidden = hidden + self.self_attention(own, own, keep)
-        queries = self.mutual_norm(hidden, condition)
-        context = self.partner_norm(partner, condition)
-        hidden = hidden + self.mutual_attention(queries, context, keep)
-        return hidden + self.feedforward(self.feedforward_norm(hidden, condition))
+        if self.mutual:
+            queries = adaptive_norm(hidden, *parts[4:6])
+            context = adaptive_norm(partner, *parts[6:8])
+            hidden = hidden + self.mutual_attention(queries, context, keep)
+        return hidden + self.feedforward(adaptive_norm(hidden, *parts[2:4]))
+
+
+class Network(nn.Module):
+    """The layers of one person's network; with weight sharing, of both persons'."""
+
+    def __init__(self, config: DenoiserConfig) -> None:
+        """Make the layers."""
+        super().__init__()
+        width = config.width
+        inputs = config.features * (1 if config.conditioning == "mutual" else 2)
+        self.embed_motion = nn.Linear(inputs, width)
+        self.embed_text = nn.Linear(config.text_width, width)
+        self.embed_time = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
+        blocks = nn.ModuleList(Block(config) for _ in range(config.layers))
+        self.blocks = cast(Sequence[Block], blocks)
+        self.out = nn.Linear(width, config.features)
+        nn.init.zeros_(self.out.weight)
+        nn.init.zeros_(self.out.bias)
+
+    def condition(self, time: Tensor, cond: Tensor) -> Tensor:
+        """Return what time ``[B, D]`` (its sinusoids) and text ``[B, C]`` add up to, ``[B, D]``."""
+        return self.embed_time(time) + self.embed_text(cond)
+
+    def modulations(self, condition: Tensor) -> Tensor:
+        """Return scales and shifts of every block, ``[layers, B, ...]``."""
+        active = functional.silu(condition)
+        return torch.stack([block.modulation(active) for block in self.blocks])
 
 
 class Denoiser(nn.Module):
@@ -138,21 +178,13 @@ class Denoiser(nn.Module):
     positions: Tensor
 
     def __init__(self, config: DenoiserConfig) -> None:
-        """Make the network; without weight sharing, each person has blocks of its own."""
+        """Make the network; without weight sharing, each person has one of its own."""
         super().__init__()
         self.config = config
-        width = config.width
-        self.register_buffer("positions", sinusoids(MAX_POSITIONS, width), persistent=False)
-        self.embed_motion = nn.Linear(config.features, width)
-        self.embed_text = nn.Linear(config.text_width, width)
-        self.embed_time = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
-        branches = 1 if config.share_weights else 2
-        self.branches = nn.ModuleList(
-            nn.ModuleList(Block(config) for _ in range(config.layers)) for _ in range(branches)
-        )
-        self.out = nn.Linear(width, config.features)
-        nn.init.zeros_(self.out.weight)
-        nn.init.zeros_(self.out.bias)
+        self.register_buffer("positions", sinusoids(MAX_POSITIONS, config.width))
+        count = 1 if config.share_weights else 2
+        networks = nn.ModuleList(Network(config) for _ in range(count))
+        self.networks = cast(Sequence[Network], networks)
 
     def forward(self, x: Tensor, t: Tensor, cond: Tensor, mask: Tensor | None = None) -> Tensor:
         """Return the predicted clean motion ``[B, T, 2F]``, normalised.
@@ -163,36 +195,47 @@ class Denoiser(nn.Module):
             cond: ``[B, C]`` condition; zeros for the unconditional branch.
             mask: ``[B, T]``, nonzero where a frame exists; ``None``: everywhere.
         """
-        frames = x.shape[1]
-        condition = self.embed_time(self.positions[t]) + self.embed_text(cond)
-        hidden = self.embed_motion(torch.cat(x.chunk(2, dim=-1)))
-        hidden = hidden + self.positions[:frames]
-        concat = self.config.conditioning == "concat"
-        if concat:
-            hidden = torch.cat([condition.repeat(2, 1)[:, None], hidden], dim=1)
-            active = torch.zeros_like(condition)
-        else:
-            active = functional.silu(condition)
-        hidden = self._blocks(hidden, active, _keys(mask, extra=concat))
-        return torch.cat(self.out(hidden[:, -frames:]).chunk(2), dim=-1)
+        return self.denoise(x, self.modulations(t, cond), mask)
 
-    def _blocks(self, hidden: Tensor, active: Tensor, keep: Tensor | None) -> Tensor:
-        half = len(active)
-        if len(self.branches) == 1:
-            both = active.repeat(2, 1)
-            keys = None if keep is None else keep.repeat(2, 1, 1, 1)
-            for block in self.branches[0]:  # type: ignore[attr-defined]
-                hidden = block(hidden, hidden.roll(half, dims=0), both, keys)
-            return hidden
-        a, b = hidden.chunk(2)
-        for block_a, block_b in zip(*self.branches, strict=True):  # type: ignore[arg-type]
-            a, b = block_a(a, b, active, keep), block_b(b, a, active, keep)
-        return torch.cat([a, b])
+    def modulations(self, t: Tensor, cond: Tensor) -> Tensor:
+        """Return what ``t [B]`` and ``cond [B, C]`` do to every block: ``[nets, layers, B, ...]``.
+
+        It does not depend on the motion, so a sampler makes it for all its steps at once.
+        """
+        time = self.positions[t]
+        return torch.stack([net.modulations(net.condition(time, cond)) for net in self.networks])
+
+    def denoise(self, x: Tensor, modulations: Tensor, mask: Tensor | None = None) -> Tensor:
+        """Return the predicted clean motion, as :meth:`forward`, given :meth:`modulations`."""
+        shares = len(self.networks)
+        people = torch.stack(x.chunk(2, dim=-1))
+        if self.config.conditioning == "concat":
+            people = torch.cat([people, people.flip(0)], dim=-1)
+        keep = _keys(mask, 2 // shares)
+        hidden = self._each("embed_motion", people) + self.positions[: x.shape[1]]
+        for layer in range(self.config.layers):
+            partner = hidden.flip(0)
+            parts = zip(hidden.chunk(shares), partner.chunk(shares), strict=True)
+            hidden = torch.cat(
+                [
+                    net.blocks[layer](own, other, modulation[layer], keep)
+                    for net, (own, other), modulation in zip(
+                        self.networks, parts, modulations, strict=True
+                    )
+                ]
+            )
+        return torch.cat(self._each("out", hidden).unbind(), dim=-1)
+
+    def _each(self, layer: str, people: Tensor) -> Tensor:
+        parts = people.chunk(len(self.networks))
+        return torch.cat(
+            [getattr(net, layer)(part) for net, part in zip(self.networks, parts, strict=True)]
+        )
 
 
-def _keys(mask: Tensor | None, *, extra: bool) -> Tensor | None:
-    """Return which keys count, ``[B, 1, 1, S + 1]``: the real frames, and the empty one."""
+def _keys(mask: Tensor | None, people: int) -> Tensor | None:
+    """Return which keys count, ``[P, B, 1, 1, T + 1]``: the real frames, and the empty one."""
     if mask is None:
         return None
-    keep = functional.pad(mask > 0.5, (1 if extra else 0, 1), value=True)
-    return keep[:, None, None]
+    keep = functional.pad(mask > 0.5, (0, 1), value=True)
+    return keep[None, :, None, None].expand(people, -1, -1, -1, -1)

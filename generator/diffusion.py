@@ -4,9 +4,8 @@ The network predicts the clean motion x0, so everything is written in x0 and noi
 
     x_t = sqrt(abar_t) x0 + sqrt(1 - abar_t) eps
 
-Own code rather than a library's schedulers: the release spaces its steps from the clean end
-(0, 20, ... 980) *and* keeps the prediction of the last step instead of one more update, which must
-be matched to the last digit; the rest is forty lines.
+Own code rather than a library's schedulers: it is forty lines, it keeps the *constrained*
+prediction of the last step as the result, and docs/intergen.md compares it with ``diffusers``.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -21,23 +21,45 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from robots.errors import SpecError
+from robots.errors import SpecError, nearest
 
 STEPS = 1000
 """Diffusion steps T of training."""
 
-Predict = Callable[[Tensor, Tensor], Tensor]
-"""Takes ``x_t [B, ...]`` and ``t [B]``, gives the predicted clean motion."""
+Predict = Callable[[Tensor, int], Tensor]
+"""Takes ``x_t [B, ...]`` and the step t, gives the predicted clean motion."""
+
+Constrain = Callable[[Tensor, int], Tensor]
+"""Takes a predicted clean motion ``[B, ...]`` and the step t, returns it with what is given put in
+(person-to-person, trajectories, in-betweening: Sec. 5.4)."""
+
+_CHOICES = {"solver": ("ddim", "dpm2m"), "spacing": ("leading", "trailing")}
 
 
-def cosine_alphas(steps: int = STEPS, offset: float = 0.008) -> NDArray[np.float64]:
-    """Return ``abar_t [steps]`` of the cosine schedule (Nichol & Dhariwal 2021, eq. 17)."""
+def cosine_betas(steps: int = STEPS, offset: float = 0.008) -> NDArray[np.float64]:
+    """Return ``beta_t [steps]`` of the cosine schedule (Nichol & Dhariwal 2021, eq. 17)."""
 
     def level(u: float) -> float:
         return math.cos((u + offset) / (1 + offset) * math.pi / 2) ** 2
 
-    betas = [min(1 - level((i + 1) / steps) / level(i / steps), 0.999) for i in range(steps)]
-    return np.cumprod(1.0 - np.array(betas))
+    return np.array(
+        [min(1 - level((i + 1) / steps) / level(i / steps), 0.999) for i in range(steps)]
+    )
+
+
+@cache
+def cosine_alphas(steps: int = STEPS) -> NDArray[np.float64]:
+    """Return ``abar_t [steps]``, the share of the clean motion's variance left at step t."""
+    alphas = np.cumprod(1.0 - cosine_betas(steps)).astype(np.float64)
+    alphas.setflags(write=False)
+    return alphas
+
+
+def noised(clean: Tensor, t: Tensor, noise: Tensor) -> Tensor:
+    """Return ``x_t [B, ...]`` for steps ``t [B]``: a clean motion with its share of noise."""
+    alphas = torch.tensor(cosine_alphas(), dtype=torch.float64, device=clean.device)[t]
+    alphas = alphas.reshape(-1, *[1] * (clean.dim() - 1))
+    return alphas.sqrt().to(clean.dtype) * clean + (1 - alphas).sqrt().to(clean.dtype) * noise
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +86,15 @@ class SamplerConfig:
 
     def __post_init__(self) -> None:
         """Validate."""
+        for name, allowed in _CHOICES.items():
+            value = getattr(self, name)
+            if value not in allowed:
+                raise SpecError(
+                    f"{name} {value!r}",
+                    where="sampler",
+                    allowed=" or ".join(allowed),
+                    hint=nearest(str(value), allowed),
+                )
         if not 1 <= self.steps <= STEPS:
             raise SpecError(f"{self.steps} sampling steps", allowed=f"1 to {STEPS}")
         if not 0 <= self.eta <= 1:
@@ -80,31 +111,13 @@ def timesteps(steps: int, spacing: str) -> list[int]:
     return [round(STEPS * (1 - i / steps)) - 1 for i in range(steps)]
 
 
-def guided(denoise: Callable[..., Tensor], cond: Tensor, config: SamplerConfig) -> Predict:
-    """Return a predictor with classifier-free guidance (Ho & Salimans 2021) on x0.
-
-    Both branches go through the network as one batch; outside the interval, and at weight 1, only
-    the conditional one does.
-    """
-    low, high = config.guidance_interval
-    both = torch.cat([cond, torch.zeros_like(cond)])
-
-    def predict(x: Tensor, t: Tensor) -> Tensor:
-        if config.guidance == 1 or not low <= int(t[0]) <= high:
-            return denoise(x, t, cond)
-        with_text, without = denoise(x.repeat(2, 1, 1), t.repeat(2), both).chunk(2)
-        return torch.lerp(without, with_text, config.guidance)
-
-    return predict
-
-
 def sample(
     predict: Predict,
     noise: Tensor,
     config: SamplerConfig,
     *,
     generator: torch.Generator | None = None,
-    constrain: Callable[[Tensor, int], Tensor] | None = None,
+    constrain: Constrain | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Tensor:
     """Return the clean motion that a noise leads to.
@@ -114,18 +127,18 @@ def sample(
         noise: ``[B, T, F]``, standard normal.
         config: Solver, steps and spacing.
         generator: Source of fresh noise, for eta above 0.
-        constrain: Called with every predicted clean motion and its step; returns it with what is
-            given put in (person-to-person, trajectories, in-betweening: Sec. 5.4).
+        constrain: Applied to every prediction, so that what it puts in is exact in the result.
         progress: Called with the share done.
     """
     visited = timesteps(config.steps, config.spacing)
     alphas = cosine_alphas()
     x, clean, previous = noise, noise, None
     for index, step in enumerate(visited):
-        t = torch.full((len(x),), step, device=x.device, dtype=torch.long)
-        clean = predict(x, t)
+        clean = predict(x, step)
         if constrain is not None:
             clean = constrain(clean, step)
+        if progress:
+            progress((index + 1) / len(visited))
         if index + 1 == len(visited):
             break
         now, then = float(alphas[step]), float(alphas[visited[index + 1]])
@@ -135,15 +148,18 @@ def sample(
             before = float(alphas[visited[index - 1]]) if index else None
             x = _dpm2m(x, clean, previous, now, then, before)
             previous = clean
-        if progress:
-            progress((index + 1) / len(visited))
     return clean
 
 
 def _ddim(
     x: Tensor, clean: Tensor, now: float, then: float, eta: float, generator: torch.Generator | None
 ) -> Tensor:
-    """One step of DDIM (Song et al. 2020, eq. 12) from level ``now`` to the cleaner ``then``."""
+    """One step of DDIM (Song et al. 2020, eq. 12) from level ``now`` to the cleaner ``then``.
+
+    The release keeps ``then`` in single precision. Close to the clean end, where 1 - then is 4e-5,
+    that is a thousandth of the noise that is put back, so it is done here too.
+    """
+    then = float(np.float32(then))
     noise = (x - math.sqrt(now) * clean) / math.sqrt(1 - now)
     fresh = eta * math.sqrt((1 - then) / (1 - now) * (1 - now / then))
     x = math.sqrt(then) * clean + math.sqrt(max(1 - then - fresh * fresh, 0.0)) * noise
