@@ -253,8 +253,8 @@ class Stage:
 
     def label(self, first: str, second: str, on: Span, gap: float) -> None:
         """Say that two points touch, without moving anything."""
-        last = float(self.times[-1])
-        self.touches.append(Contact(first, second, on.start, min(on.end, last), gap))
+        end = min(on.end, float(self.times[-1]))
+        self.touches.append(Contact(first, second, float(on.start), float(end), float(gap)))
 
     def rhythm(self, on: Span, hertz: float, size: float) -> FloatArray:
         """Return a swing ``[T]`` of the given size about 0 within a span, at the style's tempo."""
