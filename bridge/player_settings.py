@@ -42,7 +42,7 @@ class PlayerSettings:
     """How far from its goal a joint may be, rad ..."""
     stray_time: float = 0.5
     """... and for how long, s."""
-    health_period: float = 0.25
+    health_period: float = 0.1
     """Time between two looks at the slow registers, s."""
 
     def __post_init__(self) -> None:

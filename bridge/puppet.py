@@ -20,7 +20,10 @@ from robots.skeleton import FloatArray
 
 log = logging.getLogger(__name__)
 
-HEALTH = ("torque_enable", "bus_watchdog", "present_input_voltage", "present_temperature")
+HEALTH = (
+    *("torque_enable", "bus_watchdog", "torque_enable", "present_input_voltage"),
+    *("torque_enable", "bus_watchdog", "torque_enable", "present_temperature"),
+)
 """Registers read in turn while playing."""
 
 

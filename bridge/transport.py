@@ -242,6 +242,8 @@ class SdkTransport:
         try:
             device.openPort()
         except (OSError, ValueError, termios.error, serial.SerialException) as error:
+            if device.ser is not None:
+                device.ser.close()
             raise PortLost(
                 f"cannot be opened: {_reason(error)}",
                 where=self.port,

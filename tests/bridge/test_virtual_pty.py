@@ -1,0 +1,139 @@
+"""The unmodified SDK, and the player, over a real pseudo-terminal in real time."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+
+import dynamixel_sdk as sdk
+import numpy as np
+import pytest
+
+from bridge.lock import PortLock
+from bridge.player import Gate, PlayerSettings, play
+from bridge.trajectory import JointTrajectory
+from bridge.virtual import PtyServer, virtual_bus_for
+from bridge.virtual.process import virtual_port
+from robots.errors import PortLost
+from robots.registry import load_robot
+
+ROBOT = load_robot("marionette")
+BAUD = ROBOT.buses["main"].baud
+IDS = [joint.servo.id for joint in ROBOT.joints]
+
+
+@pytest.fixture
+def port(tmp_path):
+    """A stock SDK port, opened on the virtual bus by its link."""
+    link = tmp_path / "puppet"
+    with PtyServer(virtual_bus_for(ROBOT), link=link) as server:
+        handler = sdk.PortHandler(str(link))
+        handler.baudrate = BAUD
+        assert handler.openPort()
+        yield handler
+        handler.closePort()
+        server.close()
+    assert not link.is_symlink()
+
+
+def test_the_unmodified_sdk_pings_reads_and_writes(port):
+    packet = sdk.PacketHandler(2.0)
+    assert packet.ping(port, IDS[0]) == (1200, 0, 0)
+    assert packet.ping(port, 99)[1] == sdk.COMM_RX_TIMEOUT
+    assert packet.write1ByteTxRx(port, IDS[0], 64, 1) == (0, 0)
+    assert packet.read1ByteTxRx(port, IDS[0], 64) == (1, 0, 0)
+    assert packet.write1ByteTxRx(port, IDS[0], 11, 4) == (0, 7)  # EEPROM under torque
+    assert packet.write4ByteTxRx(port, IDS[0], 116, 5000) == (0, 6)  # beyond the limit
+    found, result = packet.broadcastPing(port)
+    assert result == 0
+    assert sorted(found or ()) == sorted(IDS)
+
+
+def test_the_unmodified_sdk_streams_to_all_servos(port):
+    packet = sdk.PacketHandler(2.0)
+    write = sdk.GroupSyncWrite(port, packet, 116, 4)
+    read = sdk.GroupSyncRead(port, packet, 132, 4)
+    goals = {}
+    for servo_id in IDS:
+        packet.write1ByteTxRx(port, servo_id, 64, 1)
+        goals[servo_id] = packet.read4ByteTxRx(port, servo_id, 132)[0] + 20
+        write.addParam(servo_id, list(goals[servo_id].to_bytes(4, "little")))
+        read.addParam(servo_id)
+    assert write.txPacket() == 0
+    time.sleep(0.6)
+    for transfer in (read.txRxPacket, read.fastSyncRead):
+        assert transfer() == 0
+        for servo_id in IDS:
+            assert abs(read.getData(servo_id, 132, 4) - goals[servo_id]) <= 2
+
+
+def test_a_client_at_the_wrong_rate_hears_nothing(port):
+    packet = sdk.PacketHandler(2.0)
+    port.setBaudRate(57600)
+    assert packet.ping(port, IDS[0])[1] == sdk.COMM_RX_TIMEOUT
+    port.setBaudRate(BAUD)
+    assert packet.ping(port, IDS[0])[1] == 0
+
+
+def test_a_link_does_not_replace_a_file(tmp_path):
+    path = tmp_path / "precious"
+    path.write_text("data")
+    with pytest.raises(PortLost, match="precious"):
+        PtyServer(virtual_bus_for(ROBOT), link=path)
+    assert path.read_text() == "data"
+
+
+def test_a_bus_in_its_own_process_ends_with_its_user():
+    with virtual_port(ROBOT, "main") as port:
+        handler = sdk.PortHandler(port)
+        handler.baudrate = BAUD
+        assert handler.openPort()
+        assert sdk.PacketHandler(2.0).ping(handler, IDS[0])[:2] == (1200, 0)
+        handler.closePort()
+    time.sleep(0.1)
+    assert not os.path.exists(port)
+
+
+def test_a_duet_on_two_pseudo_terminals_keeps_real_time():
+    times = np.arange(0, 1.5 + 1e-9, 0.02)
+    room = np.minimum(ROBOT.upper - ROBOT.rest, ROBOT.rest - ROBOT.lower)
+    wave = np.sin(3 * times)[:, None] * np.minimum(0.3, 0.8 * room)
+    trajectory = JointTrajectory(times, ROBOT.rest + wave, ROBOT.joint_names, ROBOT.name)
+    settings = PlayerSettings(
+        rate=50, ramp_time=0.3, settle_time=0.1, max_stall=5, watchdog=0, error_timeout=5
+    )
+    performance = play(
+        (trajectory, trajectory), (ROBOT, ROBOT), gate=Gate(passed=True), settings=settings
+    )
+    assert performance.completed
+    assert performance.duration == pytest.approx(1.5, abs=0.5)
+    for person in "ab":
+        tracking = performance.tracking[person]
+        assert 0.05 < tracking.rms_deg < 5
+        assert tracking.missed_reads < 0.2 * performance.ticks * len(IDS)
+
+
+def test_a_second_owner_of_a_port_is_refused(tmp_path):
+    """In another process, as two players would be; links to one device are one port."""
+    device, link = tmp_path / "ttyUSB0", tmp_path / "by-id"
+    device.write_text("")
+    link.symlink_to(device)
+    code = (
+        "import sys; from bridge.lock import PortLock; from robots.errors import PortLost\n"
+        "try:\n"
+        "    with PortLock(sys.argv[1], folder=sys.argv[2]): print('got it')\n"
+        "except PortLost as error: print(error)"
+    )
+    command = [sys.executable, "-c", code, str(link), str(tmp_path)]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+
+    def other() -> str:
+        return subprocess.run(
+            command, env=environment, capture_output=True, text=True, check=True
+        ).stdout
+
+    with PortLock(str(device), folder=tmp_path):
+        assert f"in use by process {os.getpid()}" in other()
+    assert "got it" in other()
