@@ -356,9 +356,13 @@ def neighbours(skeleton: Skeleton) -> list[tuple[str, str]]:
 
 
 def humanoid_xml(body: HumanBody) -> str:
-    """Return a complete MJCF model of one person and a floor."""
+    """Return a complete MJCF model of one person and a floor.
+
+    The joints' springs are stiff for the segments they move, so integration must be implicit.
+    """
     root = ET.Element("mujoco", model="human")
     ET.SubElement(root, "compiler", angle="radian")
+    ET.SubElement(root, "option", integrator="discrete", timestep="0.005", cone="elliptic")
     worldbody = ET.SubElement(root, "worldbody")
     ET.SubElement(worldbody, "geom", name="floor", type="plane", size="10 10 0.1")
     add_humanoid(worldbody, ET.SubElement(root, "actuator"), body, contype=2, conaffinity=1)
