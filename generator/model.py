@@ -94,6 +94,11 @@ class InterGen(nn.Module):
         """Licence of the weights, which every motion made from them carries."""
         return self.provenance.licence
 
+    @property
+    def has_statistics(self) -> bool:
+        """Whether normalised features can be turned into metres."""
+        return bool((self.mean != 0).any() or (self.std != 1).any())
+
     def set_statistics(
         self,
         mean: Sequence[float] | np.ndarray | Tensor,
@@ -254,12 +259,18 @@ class InterGen(nn.Module):
 
         Raises:
             PromptError: The sentence is empty.
-            CheckpointError: The model has no text encoder.
+            CheckpointError: The model has no text encoder, or no statistics.
         """
         from generator.features import decode
 
         if not text.strip():
             raise PromptError("the sentence is empty")
+        if not self.has_statistics:
+            raise CheckpointError(
+                "the statistics that turn samples into metres are not there",
+                where=self.provenance.source or "InterGen",
+                hint="put global_mean.npy and global_std.npy beside the checkpoint",
+            )
         drawn = self.sample(self.encode_text([text]), frames, seed=seed, **sampling)
         raw = self.denormalise(drawn[0]).unflatten(-1, (2, self.config.features))
         features = raw.cpu().numpy().astype(np.float64)
