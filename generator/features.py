@@ -293,7 +293,8 @@ def pair_features(
         fps: Frames per second.
         canonical: Which of the two starts at the origin and faces +z.
         floor: Height of the floor, m; the pair's lowest keypoint by default.
-        release_compat: Measure each person from its own lowest keypoint, as the release does.
+        release_compat: Measure each person from its own lowest keypoint and derive the contacts
+            from thresholds, as the release does.
 
     Raises:
         MotionError: The two differ in length, or have fewer than two frames.
@@ -306,8 +307,9 @@ def pair_features(
     base = lowest(*pair) if floor is None else floor
     out = []
     for person in pair:
-        own = lowest(person) if release_compat else base
-        out.append(person_features(person, placement_of(pair[canonical].positions, own), fps))
+        if release_compat:
+            person, base = Poses(person.positions, person.rotations), lowest(person)
+        out.append(person_features(person, placement_of(pair[canonical].positions, base), fps))
     return np.stack(out, axis=1)
 
 
@@ -343,12 +345,9 @@ def encode(motion: DuetMotion, *, release_compat: bool = False) -> FloatArray:
 
     Args:
         motion: Two people.
-        release_compat: Give each person its own floor and derive the contacts from thresholds,
-            as the release does, instead of one floor and the motion's own labels.
+        release_compat: As in :func:`pair_features`.
     """
     pair = [poses_of(person) for person in motion.people]
-    if release_compat:
-        pair = [Poses(person.positions, person.rotations) for person in pair]
     return pair_features(pair, motion.fps, release_compat=release_compat)
 
 

@@ -1,0 +1,32 @@
+"""Training data: clips from disk or from the choreographer, cached, mixed and cut into batches.
+
+A *source* makes :class:`Clip` s: :class:`InterHuman`, :class:`DuetFolder`, :class:`Choreographed`.
+:func:`cached` computes a source once into a memory-mapped file, :func:`measure` takes its
+statistics, and :class:`BatchStream` draws batches from one or several. All of it is torch-free.
+"""
+
+from generator.data.batches import Batch, BatchConfig, BatchStream
+from generator.data.cache import ClipCache, cached
+from generator.data.choreographed import Choreographed
+from generator.data.clip import Clip, ClipSet, ClipSource, clip_of, resampled
+from generator.data.duets import DuetFolder
+from generator.data.interhuman import InterHuman
+from generator.data.statistics import FeatureStatistics, measure
+
+__all__ = [
+    "Batch",
+    "BatchConfig",
+    "BatchStream",
+    "Choreographed",
+    "Clip",
+    "ClipCache",
+    "ClipSet",
+    "ClipSource",
+    "DuetFolder",
+    "FeatureStatistics",
+    "InterHuman",
+    "cached",
+    "clip_of",
+    "measure",
+    "resampled",
+]
