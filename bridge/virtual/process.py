@@ -45,6 +45,8 @@ def virtual_port(robot: RobotSpec, bus: str) -> Iterator[str]:
         stdout=subprocess.PIPE,
         env=environment,
         text=True,
+        # Ctrl-C is for the player: the bus must live on until it has relaxed its robots.
+        start_new_session=True,
     )
     try:
         yield _announced_port(child, robot.name)
