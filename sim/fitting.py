@@ -27,16 +27,20 @@ from generator.kinematics import (
     fit_rotations,
     fit_skeleton,
     forward_kinematics,
+    from_wxyz,
     global_rotations,
     to_wxyz,
     unit,
 )
 from generator.motion import Motion
+from robots.humanoid import HumanBody
 from robots.skeleton import FloatArray, Skeleton
-from sim.footing import smoothstep, standing
+from sim.footing import smoothstep, sole_corners, standing
 
 _OWN_ROTATIONS_ERROR = 0.02
 """Mean distance, m, up to which a motion's own rotations are believed."""
+_LEVEL = 0.01
+"""Most that the corners of a standing sole may differ in height, m, to be called level."""
 _PITCH = np.radians([5.0, 60.0])
 """Range of the angle of the ankle-to-toe bone below the horizontal in a flat foot."""
 
@@ -44,19 +48,35 @@ _PITCH = np.radians([5.0, 60.0])
 def fit_person(motion: Motion) -> tuple[Skeleton, FloatArray]:
     """Return the skeleton of a person and rotations ``[T, J, 4]`` wxyz that give its keypoints.
 
-    Rotations that come with the motion are used if they reproduce its keypoints.
+    Rotations that come with the motion are used if they reproduce its keypoints and stand level.
     """
     points = motion.keypoints
     if motion.rotations is not None:
         made = forward_kinematics(motion.skeleton, points[:, 0], motion.rotations)
-        if np.linalg.norm(made - points, axis=-1).mean() < _OWN_ROTATIONS_ERROR:
-            return motion.skeleton, continuous(motion.rotations)
+        fits = np.linalg.norm(made - points, axis=-1).mean() < _OWN_ROTATIONS_ERROR
+        if fits and _stands_level(motion, motion.rotations):
+            bent = _bend_toes(motion.skeleton, points, motion.rotations)
+            return motion.skeleton, continuous(bent)
     skeleton = fit_skeleton(motion.skeleton, points)
     for _ in range(2):
         skeleton = _refine_branches(skeleton, points)
     skeleton = _level_rest_feet(skeleton, motion)
     rotations = fit_rotations(skeleton, points)
-    return skeleton, continuous(_plant_feet(skeleton, points, rotations))
+    rotations = _level_feet(skeleton, points, rotations)
+    return skeleton, continuous(_bend_toes(skeleton, points, rotations))
+
+
+def _stands_level(motion: Motion, rotations: NDArray) -> bool:
+    """Return whether the soles of standing feet are level, so that rotations suit our feet."""
+    body = HumanBody.of(motion.skeleton)
+    heights = sole_corners(body, motion.keypoints[:, 0], rotations)[..., 2]
+    for i, side in enumerate(("left", "right")):
+        ankle, toe = motion.point(f"{side}_ankle"), motion.point(f"{side}_foot")
+        flat = standing(ankle, motion.fps) & standing(toe, motion.fps)
+        heel = heights[flat, 2 * i]
+        if flat.any() and np.median(np.ptp(heel, axis=1)) > _LEVEL:
+            return False
+    return True
 
 
 def _refine_branches(skeleton: Skeleton, points: NDArray) -> Skeleton:
@@ -86,21 +106,38 @@ def _level_rest_feet(skeleton: Skeleton, motion: Motion) -> Skeleton:
     return Skeleton(skeleton.names, skeleton.parents, offsets, skeleton.hand_per_forearm)
 
 
-def _plant_feet(skeleton: Skeleton, points: NDArray, rotations: NDArray) -> FloatArray:
-    """Return rotations with feet rolled level and toes bent level near the floor."""
+def _level_feet(skeleton: Skeleton, points: NDArray, rotations: NDArray) -> FloatArray:
+    """Return rotations with feet rolled level about their own axis near the floor."""
     rotations = rotations.copy()
     frames = global_rotations(skeleton, rotations)
     for side in ("left", "right"):
         knee, ankle, toe = (skeleton.index(f"{side}_{n}") for n in ("knee", "ankle", "foot"))
-        height = points[:, toe, 2] - np.percentile(points[:, toe, 2], 5)
-        near = 1 - smoothstep((height - 0.03) / 0.12)
         axis = frames[ankle].apply(unit(skeleton.offsets[toe]))
         across = frames[ankle].apply([0.0, 1.0, 0.0])
         roll = np.arctan2(-across[:, 2], np.cross(axis, across)[:, 2])
-        roll = np.clip(roll, -np.pi / 4, np.pi / 4) * near
+        roll = np.clip(roll, -np.pi / 4, np.pi / 4) * _near_floor(points[:, toe])
         level = Rotation.from_rotvec(axis * roll[:, None]) * frames[ankle]
         rotations[:, ankle] = to_wxyz(frames[knee].inv() * level)
-        down = np.arcsin(np.clip(-level.apply([1.0, 0.0, 0.0])[:, 2], -1, 1))
-        bend = np.clip(down, 0.0, np.pi / 3) * near
-        rotations[:, toe] = to_wxyz(Rotation.from_rotvec(-bend[:, None] * [0.0, 1.0, 0.0]))
     return rotations
+
+
+def _bend_toes(skeleton: Skeleton, points: NDArray, rotations: NDArray) -> FloatArray:
+    """Return rotations with toes bent up to the level near the floor, where the heel is up.
+
+    Without it the toes of everybody who walks would push through the floor at every step.
+    """
+    rotations = np.array(rotations)
+    frames = global_rotations(skeleton, rotations)
+    for side in ("left", "right"):
+        toe = skeleton.index(f"{side}_foot")
+        down = np.arcsin(np.clip(-frames[toe].apply([1.0, 0.0, 0.0])[:, 2], -1, 1))
+        bend = np.clip(down, 0.0, np.pi / 3) * _near_floor(points[:, toe])
+        own = from_wxyz(rotations[:, toe])
+        rotations[:, toe] = to_wxyz(own * Rotation.from_rotvec(-bend[:, None] * [0.0, 1.0, 0.0]))
+    return rotations
+
+
+def _near_floor(path: NDArray) -> FloatArray:
+    """Return 1 where a toe keypoint ``[T, 3]`` m is about as low as it gets, 0 from 15 cm up."""
+    height = path[:, 2] - np.percentile(path[:, 2], 5)
+    return 1 - smoothstep((height - 0.03) / 0.12)
