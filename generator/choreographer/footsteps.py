@@ -31,6 +31,8 @@ TOE_OUT = 0.10
 """Angle by which standing feet point outward, rad."""
 SWING = 0.42
 """Time a foot is in the air, s."""
+HEEL_FIRST = 0.26
+"""Time the heel is up before the toe leaves, s."""
 NEAR_ENOUGH = 0.06
 """A foot this close to its place does not step, m."""
 TURN_WEIGHT = 0.25
@@ -161,8 +163,8 @@ def foot_path(role: Role, steps: list[Step], side: Side, lift: float = 1.0) -> F
         height += lift * (0.035 + 0.05 * min(length, 0.8)) * scale * 64 * (u * (1 - u)) ** 3
         heading = step.start[2]
         forward = (move[0] * np.cos(heading) + move[1] * np.sin(heading)) / scale
-        angle = 0.12 + 0.38 * float(np.clip(forward, 0.0, 1.1))
-        heel_up = max(step.leave - 0.20, settled)
+        angle = 0.12 + 0.48 * float(np.clip(forward, 0.0, 1.1))
+        heel_up = max(step.leave - HEEL_FIRST, settled)
         tip += angle * window(
             times, heel_up, step.leave + 0.3 * swing, step.leave + 0.3 * swing, step.land - 0.06
         )

@@ -22,8 +22,8 @@ from generator.choreographer.style import SIDES, Side
 from generator.kinematics import unit
 from robots.skeleton import FloatArray
 
-STRAIGHTEST = 0.992
-"""Longest leg, hip to ankle, as a share of thigh plus shank: a knee bent by 15 degrees."""
+STRAIGHTEST = 0.994
+"""Longest leg, hip to ankle, as a share of thigh plus shank: a knee bent by 13 degrees."""
 LEAN_SHARE = {"pelvis": 0.35, "spine1": 0.25, "spine2": 0.25, "spine3": 0.15}
 """How the bending of the trunk is spread over its keypoints."""
 TWIST_SHARE = {"pelvis": 0.0, "spine1": 0.3, "spine2": 0.3, "spine3": 0.4}
@@ -98,8 +98,8 @@ def _pelvis_height(
         drop = np.sqrt(np.maximum(longest**2 - level**2, (0.3 * longest) ** 2))
         limits.append(feet[side].ankle[:, 2] + drop - hip[:, 2])
     lowest = np.minimum(*limits) - role.crouch
-    lowest = minimum_filter1d(lowest, 9, mode="nearest")
-    return gaussian_filter1d(lowest, 2.0, radius=4, mode="nearest")
+    lowest = minimum_filter1d(lowest, 7, mode="nearest")
+    return gaussian_filter1d(lowest, 1.5, radius=3, mode="nearest")
 
 
 def _pose_leg(pose: Pose, side: Side) -> None:
