@@ -8,6 +8,7 @@ complete, so a crash loses nothing but what had not happened yet.
 from __future__ import annotations
 
 import json
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -20,6 +21,8 @@ import numpy as np
 from bridge.state import ServoState
 from robots.errors import MotionFileError
 from robots.skeleton import FloatArray
+
+log = logging.getLogger(__name__)
 
 SCHEMA = "pasdedeux.telemetry/1"
 DIGITS = 5
@@ -119,8 +122,14 @@ class Telemetry:
         self._line({"kind": "summary", **performance.to_json()})
 
     def _line(self, value: Mapping[str, Any]) -> None:
-        if self._file is not None:
+        if self._file is None:
+            return
+        try:
             self._file.write(json.dumps(value, allow_nan=False, separators=(",", ":")) + "\n")
+        except OSError as error:
+            # A full disk must not make two robots fall over; the dance goes on unrecorded.
+            log.error("%s: telemetry ends here: %s", self._path, error.strerror or error)
+            self._file = None
 
 
 def _round(value: float) -> float | None:

@@ -191,6 +191,49 @@ def test_telemetry_is_complete_up_to_a_crash(tmp_path):
     assert stage.open_ports == 0
 
 
+def test_a_robot_on_two_buses_is_one_robot():
+    robot = ROBOTS[0]
+    bus = robot.buses["main"]
+    split = dataclasses.replace(
+        robot,
+        buses={name: dataclasses.replace(bus, name=name) for name in ("left", "right")},
+        joints=tuple(
+            dataclasses.replace(
+                joint,
+                servo=dataclasses.replace(
+                    joint.servo, bus="left" if "l_" in joint.name else "right"
+                ),
+            )
+            for joint in robot.joints
+        ),
+    )
+    clock = VirtualClock()
+    wires: list[VirtualBus] = []
+
+    def connector(robot: RobotSpec, bus: str, port: str, clock, stack: ExitStack):
+        wires.append(virtual_bus_for(robot, bus, timing=True))
+
+        def opener(name: str, baud: int, wire: VirtualBus = wires[-1]) -> VirtualSerial:
+            return VirtualSerial(wire, clock, baudrate=baud, timeout=0.005)
+
+        return SdkTransport(port, robot.buses[bus].baud, opener=opener, clock=clock)
+
+    performance = play(
+        (DANCES[0], DANCES[0]),
+        (split, robot),
+        ports=({"left": "/dev/l", "right": "/dev/r"}, "/dev/other"),
+        gate=Gate(passed=True),
+        arm=True,
+        settings=BRISK,
+        clock=clock,
+        connector=connector,
+    )
+    assert performance.completed
+    assert [len(wire.servos) for wire in wires] == [9, 11, 20]
+    split_tracking, whole_tracking = performance.tracking["a"], performance.tracking["b"]
+    assert split_tracking.rms_deg == pytest.approx(whole_tracking.rms_deg, rel=0.1)
+
+
 # -- refused before anything is opened ------------------------------------------------------------
 
 

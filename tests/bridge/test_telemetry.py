@@ -64,6 +64,13 @@ def test_a_telemetry_file_that_cannot_be_made_is_refused(tmp_path):
         pass
 
 
+def test_a_full_disk_ends_the_record_not_the_dance(caplog):
+    with Telemetry("/dev/full") as telemetry:
+        for k in range(3):
+            telemetry.event(float(k), "something")
+    assert caplog.text.count("telemetry ends here") == 1
+
+
 @given(
     rate=st.floats(0.05, 3),
     stop=st.floats(0.0, 10),

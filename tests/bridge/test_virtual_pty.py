@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -13,6 +14,7 @@ import pytest
 
 from bridge.lock import PortLock
 from bridge.player import Gate, PlayerSettings, play
+from bridge.telemetry import read_telemetry
 from bridge.trajectory import JointTrajectory
 from bridge.virtual import PtyServer, virtual_bus_for
 from bridge.virtual.process import virtual_port
@@ -113,6 +115,51 @@ def test_a_duet_on_two_pseudo_terminals_keeps_real_time():
         tracking = performance.tracking[person]
         assert 0.05 < tracking.rms_deg < 5
         assert tracking.missed_reads < 0.2 * performance.ticks * len(IDS)
+
+
+PLAYER = """
+import signal, sys
+import numpy as np
+from bridge.player import Gate, PlayerSettings, StopRequest, play
+from bridge.trajectory import JointTrajectory
+from robots.registry import load_robot
+
+robot = load_robot("marionette")
+times = np.arange(0, 30, 0.02)
+wave = 0.1 * np.sin(times)[:, None] * np.minimum(robot.upper - robot.rest, robot.rest - robot.lower)
+dance = JointTrajectory(times, robot.rest + wave, robot.joint_names, robot.name)
+stop = StopRequest()
+signal.signal(signal.SIGINT, lambda *_: stop.set())
+settings = PlayerSettings(
+    rate=50, ramp_time=0.2, hold_time=0.1, max_stall=5, watchdog=0, error_timeout=5
+)
+def progress(state, share):
+    if state == "PLAY" and share > 0.005:
+        print("dancing", flush=True)
+outcome = play((dance, dance), (robot, robot), gate=Gate(True), settings=settings, stop=stop,
+               on_progress=progress, telemetry=sys.argv[1]).outcome
+print("outcome", outcome, flush=True)
+"""
+
+
+def test_ctrl_c_in_a_terminal_stops_the_player_not_its_bus(tmp_path):
+    """The terminal sends it to the whole process group; the virtual buses must outlive it."""
+    path = tmp_path / "t.jsonl"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    player = subprocess.Popen(
+        [sys.executable, "-c", PLAYER, str(path)],
+        env=environment,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert player.stdout is not None
+    assert player.stdout.readline() == "dancing\n"
+    os.killpg(player.pid, signal.SIGINT)
+    rest, _ = player.communicate(timeout=30)
+    assert rest.splitlines()[-1] == "outcome stopped"
+    states = [line["state"] for line in read_telemetry(path) if line.get("event") == "state"]
+    assert states[-3:] == ["PLAY", "HOLD", "RELAX"]
 
 
 def test_a_second_owner_of_a_port_is_refused(tmp_path):
