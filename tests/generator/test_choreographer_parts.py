@@ -254,3 +254,20 @@ def test_generate_refuses_or_takes_the_nearest():
     duet, meaning = generate("two people play chess", nearest=True)
     assert duet.interaction == meaning.interaction
     assert not meaning.known
+
+
+@pytest.mark.parametrize("name", ["handshake", "push"])
+@pytest.mark.parametrize("hand", ["left", "right"])
+def test_bodies_with_unequal_limbs_keep_them_and_still_meet(name, hand):
+    rng = np.random.default_rng(8)
+    lengths = human_skeleton().bone_lengths
+    first, second = (
+        human_skeleton().with_bone_lengths(lengths * rng.uniform(0.93, 1.07, len(lengths)))
+        for _ in range(2)
+    )
+    duet = choreograph(name, style=Style(handedness=hand), skeletons=(first, second))
+    for motion, skeleton in zip(duet.people, (first, second), strict=True):
+        assert motion.skeleton.bone_lengths == pytest.approx(skeleton.bone_lengths)
+    for contact in duet.contacts:
+        inside = (duet.a.times >= contact.start) & (duet.a.times <= contact.end)
+        assert np.abs(duet.gap(contact)[inside] - contact.gap).max() < 0.01
