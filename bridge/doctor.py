@@ -80,10 +80,10 @@ def _packages() -> Iterator[Finding]:
 
 
 def _encoder() -> Iterator[Finding]:
-    from generator.text import MiniLM
+    from generator.text import MiniLmEncoder
 
     try:
-        MiniLM().encode(["two people shake hands"])
+        MiniLmEncoder().encode(["two people shake hands"])
     except DuetError as error:
         yield Finding("sentence encoder", "fail", str(error))
     else:

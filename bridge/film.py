@@ -44,3 +44,20 @@ def film(clips: Sequence[Clip], *, fps: float = FPS, panel: int = PANEL) -> Iter
                 moment = min(index, len(clip.qpos) - 1)
                 panels.append(painter.paint(clip.qpos[moment], camera, moment))
             yield np.concatenate(panels, axis=1)
+
+
+class FrameKeeper(Iterator[Frame]):
+    """Passes frames on and keeps one of them in :attr:`kept` (the last, if there are fewer)."""
+
+    def __init__(self, frames: Iterator[Frame], index: int) -> None:
+        """Take the frames and which to keep."""
+        self._frames = enumerate(frames)
+        self._index = index
+        self.kept: Frame = np.zeros((1, 1, 3), np.uint8)
+
+    def __next__(self) -> Frame:
+        """Return the next frame."""
+        index, frame = next(self._frames)
+        if index <= self._index:
+            self.kept = frame
+        return frame

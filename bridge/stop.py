@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import signal
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 
 class StopRequest(threading.Event):
@@ -30,3 +33,22 @@ class StopRequest(threading.Event):
 def stop_level(event: threading.Event) -> int:
     """Return how urgent a stop is: 0 go on, 1 slow down and hold, 2 relax at once."""
     return event.level if isinstance(event, StopRequest) else int(event.is_set())
+
+
+@contextmanager
+def stop_on_signals() -> Iterator[StopRequest]:
+    """Turn Ctrl-C and SIGTERM into a stop request while the block runs.
+
+    Outside the main thread signals cannot be caught, and the request is only ever set by hand.
+    """
+    stop = StopRequest()
+    if threading.current_thread() is not threading.main_thread():
+        yield stop
+        return
+    names = (signal.SIGINT, signal.SIGTERM)
+    before = {name: signal.signal(name, lambda *_: stop.set()) for name in names}
+    try:
+        yield stop
+    finally:
+        for name, handler in before.items():
+            signal.signal(name, handler)

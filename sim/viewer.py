@@ -5,17 +5,16 @@ Needs the extra ``view`` (viser and mjviser).
 
 from __future__ import annotations
 
-import logging
+import io
 import threading
 import time
+from contextlib import redirect_stdout
 from typing import Any
 
 import mujoco
 
 from robots.errors import RenderError
 from sim.clip import Clip
-
-log = logging.getLogger(__name__)
 
 
 def _scene(clip: Clip, host: str, port: int) -> tuple[Any, Any]:
@@ -27,7 +26,8 @@ def _scene(clip: Clip, host: str, port: int) -> tuple[Any, Any]:
             "the browser viewer is not installed", hint="pip install 'pasdedeux[view]'"
         ) from error
     try:
-        server = viser.ViserServer(host=host, port=port, verbose=False)
+        with redirect_stdout(io.StringIO()):  # its banner
+            server = viser.ViserServer(host=host, port=port, verbose=False)
     except OSError as error:
         raise RenderError(
             f"port {port} cannot be opened: {error}", where=host, hint="choose another with --port"
@@ -56,6 +56,11 @@ def html(clip: Clip) -> str:
             serializer.insert_sleep(1.0 / clip.fps)
         return serializer.as_html()
     finally:
+        _close(server)
+
+
+def _close(server: Any) -> None:
+    with redirect_stdout(io.StringIO()):  # its farewell
         server.stop()
 
 
@@ -106,4 +111,4 @@ class Viewer:
                 if int(phase) != self._frame.value:
                     self._frame.value = int(phase)  # its callback draws
         finally:
-            self._server.stop()
+            _close(self._server)

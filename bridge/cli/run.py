@@ -1,0 +1,60 @@
+"""``pasdedeux run``: a sentence or a motion file to two performing puppets."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from bridge import stages
+from bridge.cli.console import Console
+from bridge.cli.options import (
+    add_assist,
+    add_generator,
+    add_motion_request,
+    add_robots,
+    add_seed,
+    motion_request,
+    robot_pair,
+)
+from bridge.cli.tables import show_summary
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add everything that the stages take."""
+    parser.add_argument("source", help="a sentence, or a motion file")
+    parser.add_argument("-o", "--out", type=Path, help="folder (default: out/ and the sentence)")
+    add_seed(parser)
+    add_generator(parser)
+    add_assist(parser)
+    add_robots(parser)
+    parser.add_argument(
+        "--speed", type=float, default=1.0, help="of the performance on the virtual servos"
+    )
+    parser.add_argument("--force", action="store_true", help="perform even what the report refuses")
+    parser.add_argument("--no-video", action="store_true", help="leave video and picture out")
+    add_motion_request(parser)
+
+
+def execute(args: argparse.Namespace, console: Console) -> int:
+    """Run every stage; 0 if all went well, 1 if the gate refused, 130 if stopped."""
+    from bridge.run import RunSettings, run
+
+    settings = RunSettings(
+        source=args.source,
+        out=args.out or stages.default_folder(args.source),
+        seed=args.seed,
+        generator=args.generator,
+        nearest=args.nearest,
+        controller=args.controller,
+        assist=args.assist,
+        robots=robot_pair(args),
+        speed=args.speed,
+        force=args.force,
+        video=not args.no_video,
+        request=motion_request(args),
+    )
+    result = run(settings, stage=console.stage, say=console.say)
+    show_summary(console, result.summary)
+    console.show(f"files: {settings.out}/")
+    console.result(result.summary)
+    return result.exit_code

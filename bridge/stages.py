@@ -1,0 +1,344 @@
+"""The stages of the way from a sentence to two performing puppets: files in, files out.
+
+``pasdedeux run`` and the single commands call the same functions on the same files, so a stage
+alone gives what the whole run gives with the same seed.
+"""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from generator.motion import DuetMotion
+from robots.errors import GateRefused, SpecError, nearest
+from robots.files import read_archive, write_json
+
+if TYPE_CHECKING:  # physics and hardware are loaded by the stages that need them
+    from bridge.player import Gate
+    from bridge.player_settings import PlayerSettings
+    from bridge.telemetry import Performance
+    from bridge.trajectory import JointTrajectory
+    from robots.spec import RobotSpec
+    from sim.report import Report
+    from sim.rollout import Rollout
+
+Progress = Callable[[float], None]
+
+GENERATORS = ("choreographer",)
+ROLLOUT_SCHEMA = "pasdedeux.rollout/1"
+MOTION = "motion.npz"
+ROLLOUT = "rollout.npz"
+REPORT = "report.json"
+TRAJECTORIES = ("trajectory-a.npz", "trajectory-b.npz")
+RETARGETING = "retargeting.json"
+TELEMETRY = "telemetry.jsonl"
+VIDEO = "video.mp4"
+PICTURE = "picture.png"
+SUMMARY = "summary.json"
+"""Names of the files that a run leaves in its folder."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotionRequest:
+    """What the caller says of a motion file that the file does not say itself."""
+
+    fps: float | None = None
+    """Frames per second."""
+    up: Literal["y", "z"] | None = None
+    """Axis that points up, ``y`` or ``z``."""
+    scale: float | None = None
+    """Metres per unit of the file."""
+
+
+FROM_FILE = MotionRequest()
+"""Nothing more than the file says."""
+
+
+def no_progress(_: float) -> None:
+    """Take a share of work done and do nothing with it."""
+
+
+def generate(
+    text: str,
+    out: Path,
+    *,
+    seed: int = 0,
+    nearest_known: bool = False,
+    generator: str = GENERATORS[0],
+) -> dict[str, Any]:
+    """Write ``motion.npz`` for a sentence; return what was understood.
+
+    Raises:
+        PromptError: The sentence is outside the repertoire and ``nearest_known`` is off.
+    """
+    if generator not in GENERATORS:
+        raise SpecError(
+            f"no generator '{generator}'",
+            allowed=", ".join(GENERATORS),
+            hint=nearest(generator, GENERATORS),
+        )
+    from generator.choreographer.from_text import generate as choreograph
+    from generator.io import write_motion
+
+    motion, understood = choreograph(text, seed=seed, nearest=nearest_known)
+    write_motion(motion, out)
+    return {
+        "text": text,
+        "generator": generator,
+        "interaction": motion.interaction,
+        "confidence": round(float(understood.confidence), 4),
+        **describe(motion),
+    }
+
+
+def read(path: Path, request: MotionRequest) -> DuetMotion:
+    """Read any motion file, or the simulated motion of a rollout.
+
+    Raises:
+        MotionFileError: It cannot be read.
+    """
+    if schema_of(path) == ROLLOUT_SCHEMA:
+        from sim.rollout import Rollout
+
+        return Rollout.load(path).as_motion()
+    from generator.io import read_motion
+
+    return read_motion(path, fps=request.fps, up=request.up, scale=request.scale)
+
+
+def _judged(path: Path) -> str | None:
+    """Return the hash of the motion that a rollout was made from; ``None`` for a motion."""
+    if schema_of(path) != ROLLOUT_SCHEMA:
+        return None
+    header, _ = read_archive(path, header_only=True)
+    return str(header["metadata"].get("input_sha256", "")) if header else None
+
+
+def schema_of(path: Path) -> str:
+    """Return the schema of one of the project's own files; empty for any other motion file."""
+    if path.suffix != ".npz":
+        return ""
+    header, _ = read_archive(path, header_only=True)
+    return str(header.get("schema", "")) if header else ""
+
+
+def import_motion(path: Path, out: Path, request: MotionRequest) -> dict[str, Any]:
+    """Read any motion file and write it as ``motion.npz``; return what it is."""
+    from generator.io import write_motion
+
+    motion = read(path, request)
+    write_motion(motion, out)
+    return {"text": motion.text, "generator": "file", **describe(motion)}
+
+
+def track(
+    motion: Path,
+    out: Path,
+    *,
+    request: MotionRequest = FROM_FILE,
+    controller: str = "assist",
+    assist: float | None = None,
+    progress: Progress = no_progress,
+) -> Rollout:
+    """Write ``rollout.npz`` for a motion file and return the rollout.
+
+    Args:
+        motion: Any motion file.
+        out: File to write.
+        request: What the motion file leaves unsaid.
+        controller: Who moves the joints.
+        assist: Bound of the helping force at the pelvis, body weights; ``None`` for the default.
+        progress: Told the share done.
+
+    Raises:
+        SimDiverged: The physics produced absurd numbers.
+    """
+    from sim.scene import AssistLimits
+    from sim.track import TrackSettings
+    from sim.track import track as simulate
+
+    limits = AssistLimits()
+    if assist is not None:
+        share = assist / limits.max_force
+        limits = AssistLimits(max_force=assist, max_torque=share * limits.max_torque)
+    settings = TrackSettings(controller=controller, assist=limits)
+    rollout = simulate(read(motion, request), settings=settings, progress=progress)
+    rollout.save(out)
+    return rollout
+
+
+def score(path: Path, out: Path, *, request: MotionRequest = FROM_FILE) -> Report:
+    """Write ``report.json`` for a rollout, or for a motion without physics; return the report."""
+    from sim.rollout import Rollout
+    from sim.score import score as judge
+    from sim.score import score_motion
+
+    if schema_of(path) == ROLLOUT_SCHEMA:
+        report = judge(Rollout.load(path))
+    else:
+        report = score_motion(read(path, request))
+    report.save(out)
+    return report
+
+
+def load_robots(a: str, b: str) -> tuple[RobotSpec, RobotSpec]:
+    """Return the robots of both people, by name or folder.
+
+    Raises:
+        SpecError: There is no such robot.
+    """
+    from robots.registry import load_robot
+
+    return load_robot(a), load_robot(b)
+
+
+def retarget(
+    motion: Path,
+    robots: tuple[RobotSpec, RobotSpec],
+    out: Path,
+    *,
+    request: MotionRequest = FROM_FILE,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Write both trajectories and ``retargeting.json`` into a folder; return the latter."""
+    from bridge.retarget import retarget as onto_servos
+
+    result = onto_servos(
+        read(motion, request), robots, source_sha256=_judged(motion), progress=progress
+    )
+    for trajectory, name in zip(result.trajectories, TRAJECTORIES, strict=True):
+        trajectory.save(out / name)
+    facts = {"robots": [robot.name for robot in robots], **result.report.to_json()}
+    write_json(out / RETARGETING, facts)
+    return facts
+
+
+def play(
+    trajectories: tuple[Path, Path],
+    telemetry: Path,
+    *,
+    report: Path | None,
+    robots: tuple[str | None, str | None] = (None, None),
+    ports: tuple[str, str] = ("virtual", "virtual"),
+    settings: PlayerSettings | None = None,
+    arm: bool = False,
+    force: bool = False,
+    stop: threading.Event | None = None,
+    progress: Progress = no_progress,
+) -> Performance:
+    """Perform two trajectory files; write ``telemetry.jsonl`` and return how it went.
+
+    Args:
+        trajectories: Of persons a and b.
+        telemetry: File to write.
+        report: The report on the same motion; without one only ``force`` lets it pass.
+        robots: Folder or name per robot; ``None``: the built-in robot the trajectory names.
+        ports: ``virtual``, or a serial port.
+        settings: How to play.
+        arm: Real servos may move.
+        force: Play what the report refuses, on virtual ports.
+        stop: Ends the performance when set.
+        progress: Told the share done.
+
+    Raises:
+        GateRefused: The report refuses it, or speaks of another motion.
+        LimitViolation: A trajectory leaves its robot's limits.
+        BusError: A servo bus failed.
+    """
+    from bridge import player
+    from bridge.trajectory import JointTrajectory
+
+    loaded = [JointTrajectory.load(path) for path in trajectories]
+    named = [given or t.robot for given, t in zip(robots, loaded, strict=True)]
+    return player.play(
+        loaded,
+        load_robots(named[0], named[1]),
+        gate=verdict(report, loaded),
+        ports=ports,
+        settings=settings,
+        arm=arm,
+        force=force,
+        telemetry=telemetry,
+        on_progress=lambda state, share: progress(share) if state == "PLAY" else None,
+        stop=stop,
+    )
+
+
+def verdict(report: Path | None, trajectories: Sequence[JointTrajectory]) -> Gate:
+    """Return whether the report lets these trajectories pass.
+
+    Raises:
+        GateRefused: The report speaks of another motion than a trajectory was made from.
+    """
+    from bridge.player import Gate
+    from sim.report import Report
+
+    if report is None:
+        return Gate(passed=False)
+    judged = Report.load(report)
+    for trajectory in trajectories:
+        if trajectory.metadata.get("motion_sha256") != judged.input_sha256:
+            raise GateRefused(
+                "the report speaks of another motion than the trajectories",
+                where=str(report),
+                hint="score the rollout of the same motion",
+            )
+    return Gate(passed=judged.passed)
+
+
+def film(
+    rollout: Path,
+    trajectories: tuple[Path, Path],
+    out: Path,
+    *,
+    moment: float,
+    robots: tuple[str, str] | None = None,
+) -> int:
+    """Write ``video.mp4`` and ``picture.png`` into a folder; return the number of frames.
+
+    Args:
+        rollout: What the physics did: the left panel.
+        trajectories: What the puppets do: the right panel, at the speed of the physics.
+        out: Folder.
+        moment: Time of the picture, s.
+        robots: Names or folders of the robots, if they are not built in.
+
+    Raises:
+        RenderError: There is no OpenGL that draws offscreen.
+    """
+    from bridge.film import FPS, FrameKeeper
+    from bridge.film import film as frames
+    from bridge.show import clips_of
+    from sim.video import write_picture, write_video
+
+    clips = clips_of((rollout, *trajectories), FROM_FILE, robots)
+    still = FrameKeeper(frames(clips), round(moment * FPS))
+    count = write_video(out / VIDEO, still, FPS)
+    write_picture(out / PICTURE, still.kept)
+    return count
+
+
+def default_folder(source: str) -> Path:
+    """Return ``out/`` and a name made of the sentence or the file."""
+    name = Path(source).stem if Path(source).exists() else source
+    slug = "-".join(re.findall(r"[a-z0-9]+", name.lower()))[:60].strip("-")
+    return Path("out") / (slug or "duet")
+
+
+def describe(motion: DuetMotion) -> dict[str, Any]:
+    """Return the plain facts of a motion as JSON."""
+    return {
+        "frames": motion.frames,
+        "fps": motion.fps,
+        "seconds": round(motion.duration, 3),
+        "seed": motion.seed,
+        "licence": motion.licence,
+        "contacts": [
+            {"a": c.a, "b": c.b, "start": round(c.start, 3), "end": round(c.end, 3), "gap": c.gap}
+            for c in motion.contacts
+        ],
+    }

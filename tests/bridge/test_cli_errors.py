@@ -1,0 +1,131 @@
+"""Bad input at the command line: a one-line reason, the right exit code, nothing half-written."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bridge.cli import main
+from generator.choreographer import choreograph
+from generator.io import write_motion
+
+
+@pytest.fixture(scope="module")
+def motion_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("motion") / "motion.npz"
+    write_motion(choreograph("wave", seed=1), path)
+    return path
+
+
+def complain(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
+    """Run the command; return its status and the one line that it complains with."""
+    status = main(arguments)
+    err = capsys.readouterr().err
+    lines = [line for line in err.splitlines() if line.startswith("pasdedeux:")]
+    assert "Traceback" not in err
+    assert len(lines) == 1, err
+    return status, lines[0]
+
+
+def bad_files(folder: Path, good: Path) -> dict[str, tuple[Path, str]]:
+    """Write one file of each kind of badness; return it with a word its reason must hold."""
+    files: dict[str, tuple[Path, str]] = {}
+    truncated = folder / "truncated.npz"
+    truncated.write_bytes(good.read_bytes()[:2000])
+    files["truncated"] = truncated, "cut off"
+    greedy = folder / "greedy.bvh"
+    greedy.write_text(
+        "HIERARCHY\nROOT Hips\n{\nOFFSET 0 0 0\nCHANNELS 6 Xposition Yposition Zposition"
+        " Zrotation Xrotation Yrotation\nEnd Site\n{\nOFFSET 0 1 0\n}\n}\nMOTION\n"
+        "Frames: 1000000000\nFrame Time: 0.0333\n0 0 0 0 0 0\n"
+    )
+    files["greedy"] = greedy, "1000000000"
+    pickled = folder / "pickled.pkl"
+    pickled.write_bytes(pickle.dumps({"a": [1, 2, 3]}))
+    files["pickled"] = pickled, "pickle"
+    tiny = folder / "tiny.npy"
+    np.save(tiny, np.zeros((30, 2, 3, 3)))
+    files["tiny"] = tiny, "22"
+    joints = choreograph("wave", seed=1).keypoints
+    joints[17, 0, 5] = np.nan
+    broken = folder / "broken.npy"
+    np.save(broken, joints)
+    files["broken"] = broken, "frame 17"
+    files["absent"] = folder / "absent.npz", "no such file"
+    return files
+
+
+@pytest.mark.parametrize("kind", ["truncated", "greedy", "pickled", "tiny", "broken", "absent"])
+@pytest.mark.parametrize("verb", ["run", "track", "retarget", "score"])
+def test_a_bad_motion_file_is_refused_in_one_line(
+    kind: str,
+    verb: str,
+    motion_file: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path, word = bad_files(tmp_path, motion_file)[kind]
+    out = tmp_path / "out"
+    status, line = complain(
+        capsys, verb, str(path), "-o", str(out), "--fps", "30", "--up", "z", "--scale", "1"
+    )
+    assert status == 2
+    assert word in line
+    assert str(path) in line
+    assert not out.exists() or not list(out.iterdir())
+
+
+def test_a_missing_robot_is_refused_before_any_work(
+    motion_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for verb in ("retarget", "run"):
+        status, line = complain(
+            capsys, verb, str(motion_file), "--robot", "op4", "-o", str(tmp_path / "out")
+        )
+        assert status == 2
+        assert "op4" in line
+        assert "op3" in line
+        assert not (tmp_path / "out").exists()
+
+
+def test_a_sentence_outside_the_repertoire_names_the_nearest_and_exits_1(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "m.npz"
+    text = "the stock market fell by three percent on monday"
+    status, line = complain(capsys, "generate", text, "-o", str(out))
+    assert status == 1
+    assert "--nearest" in line
+    assert not out.exists()
+    assert main(["generate", text, "-o", str(out), "--nearest"]) == 0
+    assert out.exists()
+
+
+def test_an_error_under_json_is_one_json_object(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["track", str(tmp_path / "absent.npz"), "--json"]) == 2
+    assert json.loads(capsys.readouterr().out)["error"]["type"] == "MotionFileError"
+
+
+def test_an_unknown_verb_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["dance"])
+    assert stop.value.code == 2
+    assert "invalid choice" in capsys.readouterr().err
+
+
+def test_generate_json_tells_what_was_understood(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "m.npz"
+    assert main(["generate", "two people shake hands", "-o", str(out), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["interaction"] == "handshake"
+    assert 0.5 < told["confidence"] <= 1
+    assert told["frames"] > 60
+    assert {c["a"] for c in told["contacts"]} == {"right_hand"}
