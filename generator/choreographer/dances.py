@@ -9,7 +9,7 @@ from generator.choreographer.curves import through, window
 from generator.choreographer.interaction import interaction
 from generator.choreographer.role import outward
 from generator.choreographer.spacing import Apart, ByReach, ByTouch
-from generator.choreographer.stage import PALM_TO_PALM, Stage
+from generator.choreographer.stage import PALM_TO_PALM, Phases, Stage
 from generator.choreographer.style import FACING, SIDES, Side
 from robots.skeleton import FloatArray
 
@@ -119,9 +119,14 @@ def waltz(stage: Stage) -> None:
         role.crouch += 0.025 * stage.style.energy * going * fall
         role.gaze -= 0.6 * going
         role.twist += 0.08 * going
+    _closed_hold(stage, beat)
+
+
+def _closed_hold(stage: Stage, beat: Phases) -> None:
+    """Join one pair of hands to the side; lay the other hands on back and shoulder."""
+    times, on, start, end = stage.times, beat.hold, beat.prepare.start, beat.release.end
     shift = np.zeros((len(times), 3))
     shift[:, 1] = 0.26
-    on, start, end = beat.hold, beat.prepare.start, beat.release.end
     stage.meet(
         ("left", "right"),
         on=on,
