@@ -134,7 +134,7 @@ class VirtualBus:
             for servo in self.servos
             if now >= servo.boots_at
             and not (self.faults.faults and self.faults.silent(now, servo.id))
-            and self._line_baud in (None, BAUD_RATES[servo.memory.get("baud_rate")])
+            and self._line_baud in (None, BAUD_RATES[servo.baud_index])
         ]
 
     def _by_id(self, now: float) -> Servos:

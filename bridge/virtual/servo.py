@@ -98,6 +98,10 @@ class VirtualServo:
             load: Torque against positive motion as share of stall torque, from the angle in rad.
         """
         self.table = table
+        self.id = servo_id
+        """Its id."""
+        self.baud_index = baud_index
+        """Value of its Baud Rate register."""
         self.memory = Memory(table)
         self.memory.set("id", servo_id)
         self.memory.set("baud_rate", baud_index)
@@ -119,15 +123,9 @@ class VirtualServo:
 
     # -- what the bus asks ------------------------------------------------------------------------
 
-    @property
-    def id(self) -> int:
-        """Its id."""
-        return self.memory.get("id")
-
     def answers_to(self, servo_id: int) -> bool:
         """Whether a single-servo instruction for this id is for it (a shadow id counts)."""
-        shadow = self.memory.get("shadow_id")
-        return servo_id == self.id or (shadow == servo_id and shadow <= 252)
+        return servo_id == self.id or (servo_id == self._shadow and servo_id <= 252)
 
     @property
     def alert(self) -> int:
@@ -318,6 +316,9 @@ class VirtualServo:
         """Decode what the motion needs."""
         memory = self.memory
         get = memory.get
+        self.id, self._shadow, self.baud_index = get("id"), get("shadow_id"), get("baud_rate")
+        self._voltages = (get("min_voltage_limit"), get("max_voltage_limit"))
+        self._hottest = get("temperature_limit")
         goal = self._angle(get("goal_position"))
         speed = get("profile_velocity") * VELOCITY_UNIT
         acceleration = get("profile_acceleration") * ACCELERATION_UNIT
@@ -414,10 +415,9 @@ class VirtualServo:
     def _protect(self, elapsed: float) -> None:
         """Set hardware errors that the state calls for."""
         volts = self.supply / VOLTAGE_UNIT
-        low, high = self.memory.get("min_voltage_limit"), self.memory.get("max_voltage_limit")
-        if not low <= volts <= high:
+        if not self._voltages[0] <= volts <= self._voltages[1]:
             self.trip(0)
-        if self.motor.temperature > self.memory.get("temperature_limit"):
+        if self.motor.temperature > self._hottest:
             self.trip(2)
         self._overload = self._overload + elapsed if abs(self.motor.current) > 0.9 else 0.0
         if self._overload > OVERLOAD_TIME:

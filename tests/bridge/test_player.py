@@ -606,7 +606,7 @@ def test_a_host_that_stalls_too_long_gives_up_safely():
 KINDS = ("drop", "corrupt", "truncate", "duplicate", "noise", "deaf", "silence", "hardware")
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(6))
 def test_random_fault_timelines_end_safely(seed, tmp_path):
     """No goal outside limits, no step beyond the speed limit, a relaxed end, nothing hangs."""
     rng = np.random.default_rng(seed)
