@@ -24,9 +24,9 @@ FOOT_BODIES = ("left_ankle", "left_foot", "right_ankle", "right_foot")
 MAX_GROUND_SHIFT = 0.10
 """A floor found further off than this, m, is not sloppy calibration: nothing is shifted."""
 
-CLEARANCE = 0.025
-"""Clearance of a foot in full swing, m; people clear the floor by 10 to 30 mm."""
-_SWING = (0.5, 2.0)
+CLEARANCE = 0.030
+"""Clearance of a foot in full swing, m; people clear the floor by 10 to 30 mm in mid-swing."""
+_SWING = (0.2, 0.8)
 """Speeds of a foot, m/s, between which the clearance grows from 0 to full."""
 _STILL = 0.3
 """Speed below which a foot counts as standing, m/s."""
@@ -54,9 +54,7 @@ def sole_corners(body: HumanBody, root: NDArray, rotations: NDArray) -> FloatArr
     for i, name in enumerate(FOOT_BODIES):
         j = body.skeleton.index(name)
         local = body.sole_corners(name)
-        corners[:, i] = points[:, j, None] + np.einsum(
-            "tij,cj->tci", frames[j].as_matrix(), local
-        )
+        corners[:, i] = points[:, j, None] + np.einsum("tij,cj->tci", frames[j].as_matrix(), local)
     return corners
 
 

@@ -58,6 +58,9 @@ class Gate:
     """Asked for, kinematic reports: depth below the floor."""
     reference_float_mean_mm: float = 80.0
     """Asked for, kinematic reports: height above the floor, on average."""
+    residual_force_mean_percent: float = 60.0
+    """Asked for, kinematic reports: force that no floor could give through the feet, body weights;
+    100 for people who hover or lie."""
     speed_max: float = 15.0
     """Asked for: speed of the fastest keypoint, m/s."""
     bone_deviation_p95_percent: float = 20.0
@@ -181,6 +184,7 @@ def score_motion(motion: DuetMotion, gate: Gate | None = None) -> Report:
     sheet.people(
         ("residual_force_mean", "reference", "% weight", "mean force that no floor could give"),
         residual * 100,
+        threshold=gate.residual_force_mean_percent,
     )
     info = {
         "text": motion.text,
