@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import mujoco
@@ -32,19 +33,24 @@ def overlap(scene: Scene, qpos: NDArray) -> Overlap:
     after positions and collision only (no dynamics). It is exact for capsules; for the boxes of the
     feet it is MuJoCo's box depth.
     """
-    model, data = scene.model, mujoco.MjData(scene.model)
+    model = copy(scene.model)
+    # The floor is dealt with below, all moments at once: contacts are then rare and between people.
+    model.geom_contype[model.geom("floor").id] = 0
+    model.geom_conaffinity[model.geom("floor").id] = 0
+    data = mujoco.MjData(model)
     owner = np.full((model.ngeom, 2), -1)
     for p, at in enumerate(scene.maps):
         owner[at.geoms, 0] = p
         owner[at.geoms, 1] = np.arange(len(at.geoms))
     depth, pair = np.zeros(len(qpos)), np.full((len(qpos), 2), -1)
-    lowest = np.empty((len(qpos), 2))
+    positions = np.empty((len(qpos), model.ngeom))
+    upward = np.empty((len(qpos), model.ngeom, 3))
     with quiet_mujoco():
         for t, pose in enumerate(qpos):
             data.qpos[:] = pose
             mujoco.mj_kinematics(model, data)
             mujoco.mj_collision(model, data)
-            lowest[t] = _lowest(scene, data.geom_xpos, data.geom_xmat)
+            positions[t], upward[t] = data.geom_xpos[:, 2], data.geom_xmat[:, 6:]
             if data.ncon:
                 geoms = data.contact.geom
                 between = (owner[geoms, 0] >= 0).all(axis=1) & (
@@ -56,18 +62,23 @@ def overlap(scene: Scene, qpos: NDArray) -> Overlap:
                     one, other = sorted(owner[geoms[row]].tolist())
                     depth[t] = max(0.0, -float(data.contact.dist[row]))
                     pair[t] = one[1], other[1]
-    return Overlap(depth, pair, lowest)
+    return Overlap(depth, pair, _lowest(scene, positions, upward))
 
 
-def _lowest(scene: Scene, positions: NDArray, matrices: NDArray) -> FloatArray:
-    """Return the height ``[2]`` m of the lowest point of each person's capsules and boxes."""
-    sizes, kinds = scene.model.geom_size, scene.model.geom_type
-    up = matrices.reshape(-1, 3, 3)[:, 2]
-    box = kinds == mujoco.mjtGeom.mjGEOM_BOX
+def _lowest(scene: Scene, heights: NDArray, upward: NDArray) -> FloatArray:
+    """Return the height ``[N, 2]`` m of the lowest point of each person's capsules and boxes.
+
+    Args:
+        scene: Whose geoms.
+        heights: ``[N, G]`` m of their centres.
+        upward: ``[N, G, 3]``, the vertical component of their three axes.
+    """
+    sizes = scene.model.geom_size
+    box = scene.model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
     below = np.where(
         box,
-        (np.abs(up) * sizes).sum(axis=1),
-        np.abs(up[:, 2]) * sizes[:, 1] + sizes[:, 0],
+        (np.abs(upward) * sizes).sum(axis=-1),
+        np.abs(upward[..., 2]) * sizes[:, 1] + sizes[:, 0],
     )
-    heights = positions[:, 2] - below
-    return np.array([heights[m.geoms].min() for m in scene.maps])
+    low = heights - below
+    return np.stack([low[:, m.geoms].min(axis=1) for m in scene.maps], axis=1)
