@@ -21,15 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator.architecture import FEATURES
-from generator.features import (
-    CONTACTS,
-    POINTS,
-    POSITIONS,
-    ROTATIONS,
-    VELOCITIES,
-    facing_yaw,
-    turn_about_y,
-)
+from generator.features import CONTACTS, POINTS, POSITIONS, ROTATIONS, VELOCITIES
+from generator.placement import facing_yaw, turn_about_y
 from robots.errors import MotionError
 from robots.skeleton import FloatArray
 

@@ -15,11 +15,9 @@ from generator.features import (
     POSITIONS,
     ROTATIONS,
     VELOCITIES,
-    Placement,
     Poses,
     decode,
     encode,
-    facing_yaw,
     foot_contacts,
     from_sixd,
     loaded_columns,
@@ -27,14 +25,13 @@ from generator.features import (
     pair_features,
     pair_placement,
     person_features,
-    placement_of,
     poses_of,
     release_features,
     release_poses,
     to_sixd,
-    turn_about_y,
 )
 from generator.motion import DuetMotion, Motion
+from generator.placement import Placement, facing_yaw, placement_of, turn_about_y
 from robots.errors import MotionError
 
 
@@ -126,6 +123,19 @@ def test_rotations_come_back_in_our_rest_frames(make_duet):
     )
     for person, original in zip(back.people, motion.people, strict=True):
         close(np.abs((person.rotations * original.rotations[:-1]).sum(-1)), 1, 1e-9)
+
+
+def test_rotations_are_those_of_smpl_s_rest_frames(make_duet):
+    """An elbow that bends about up: z in our rest frames, y in SMPL's."""
+    motion = make_duet(frames=3)
+    rotations = np.tile([1.0, 0, 0, 0], (3, 22, 1))
+    elbow = motion.a.skeleton.index("left_elbow")
+    rotations[:, elbow] = Rotation.from_euler("z", -0.7).as_quat(scalar_first=True)
+    bent = replace(motion, a=replace(motion.a, rotations=rotations))
+    sixd = encode(bent)[0, 0, ROTATIONS].reshape(21, 6)
+    c, s = np.cos(-0.7), np.sin(-0.7)
+    close(sixd[elbow - 1], (c, 0, 0, 1, -s, 0), 1e-12)
+    close(np.delete(sixd, elbow - 1, axis=0), [(1, 0, 0, 1, 0, 0)] * 20, 1e-12)
 
 
 def test_fitted_rotations_agree_with_the_keypoints(make_duet):
@@ -297,3 +307,29 @@ def test_generated_features_whose_rotations_are_noise_still_decode(make_duet):
     back = decode(flat, 30, rotations="features", text="noise", seed=3)
     assert back.text == "noise"
     close(back.a.keypoints, decode(features, 30).a.keypoints, 0)
+
+
+@pytest.mark.parametrize("name", ["cmu_18_01_handshake_sym", "cmu_002_05_face"])
+def test_real_motion_comes_back(duets, name):
+    from generator.canonical import from_canonical, to_canonical
+    from generator.io import read_motion
+
+    motion = read_motion(duets / "pseudo" / f"{name}.npz")
+    placement = pair_placement(motion)
+    features = encode(motion)
+    back = decode(features, motion.fps, placement=placement)
+    close(back.keypoints, motion.keypoints[:-1], 1e-9)
+    single = features.astype(np.float32).astype(float)
+    close(decode(single, motion.fps, placement=placement).keypoints, motion.keypoints[:-1], 1e-5)
+    close(from_canonical(to_canonical(features)), features, 1e-7)
+    exact = decode(
+        features,
+        motion.fps,
+        placement=placement,
+        skeletons=(motion.a.skeleton, motion.b.skeleton),
+        rotations="features",
+    )
+    for person, original in zip(exact.people, motion.people, strict=True):
+        assert person.rotations is not None
+        assert original.rotations is not None
+        close(np.abs((person.rotations * original.rotations[:-1]).sum(-1)), 1, 1e-6)

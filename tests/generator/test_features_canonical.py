@@ -16,7 +16,8 @@ from generator.canonical import (
     from_canonical,
     to_canonical,
 )
-from generator.features import POINTS, POSITIONS, VELOCITIES, decode, encode, turn_about_y
+from generator.features import POINTS, POSITIONS, VELOCITIES, decode, encode
+from generator.placement import turn_about_y
 from robots.errors import MotionError
 
 

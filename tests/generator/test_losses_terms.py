@@ -10,13 +10,14 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from generator.canonical import from_canonical, to_canonical  # noqa: E402
-from generator.features import POSITIONS, VELOCITIES, encode, turn_about_y  # noqa: E402
+from generator.features import POSITIONS, VELOCITIES, encode  # noqa: E402
 from generator.losses import (  # noqa: E402
     interaction_losses,
     keypoints_from_canonical,
     release_losses,
 )
 from generator.objective import ObjectiveConfig  # noqa: E402
+from generator.placement import turn_about_y  # noqa: E402
 from robots.errors import SpecError  # noqa: E402
 
 torch.set_num_threads(1)
@@ -85,6 +86,22 @@ def test_parity_of_three_clips_but_for_the_release_s_cross_product(arrays, stati
 def test_masks_that_disagree_with_lengths_are_refused(arrays, statistics):
     with pytest.raises(ValueError, match="frames"):
         release(arrays, statistics, lens=arrays["lens"] - 1)
+
+
+def test_the_release_pulls_together_only_what_nearly_touches(batch):
+    """No pair of the reference vectors lies just above the threshold of 0.1 m, so ours does."""
+    x, mask, _, _ = batch
+    mean, std = torch.zeros(262).double(), torch.ones(262).double()
+    for gap, pulled in ((0.09, True), (0.11, False)):
+        y = x.clone().view(2, 19, 2, 262)
+        y[:, :, :, POSITIONS] = 0
+        y[:, :, 1, : 3 * 22 : 3] = 5 + torch.arange(22).double()
+        y[:, :, 1, 0] = gap
+        flat = y.view(2, 19, 524)
+        lengths = mask.sum(1).long()
+        losses = release_losses(flat, flat, flat, mask, lengths, torch.tensor([1, 2]), mean, std)
+        expected = 3 * gap**2 if pulled else 0
+        assert losses["JA"].item() == pytest.approx(expected, rel=1e-5)
 
 
 # --- the paper's form ------------------------------------------------------------------------
