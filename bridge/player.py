@@ -51,7 +51,7 @@ class Passed(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Gate:
+class Verdict:
     """A verdict without a report."""
 
     passed: bool

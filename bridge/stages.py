@@ -18,7 +18,7 @@ from robots.errors import GateRefused, SpecError, nearest
 from robots.files import read_archive, write_json
 
 if TYPE_CHECKING:  # physics and hardware are loaded by the stages that need them
-    from bridge.player import Gate
+    from bridge.player import Verdict
     from bridge.player_settings import PlayerSettings
     from bridge.telemetry import Performance
     from bridge.trajectory import JointTrajectory
@@ -268,17 +268,17 @@ def play(
     )
 
 
-def verdict(report: Path | None, trajectories: Sequence[JointTrajectory]) -> Gate:
+def verdict(report: Path | None, trajectories: Sequence[JointTrajectory]) -> Verdict:
     """Return whether the report lets these trajectories pass.
 
     Raises:
         GateRefused: The report speaks of another motion than a trajectory was made from.
     """
-    from bridge.player import Gate
+    from bridge.player import Verdict
     from sim.report import Report
 
     if report is None:
-        return Gate(passed=False)
+        return Verdict(passed=False)
     judged = Report.load(report)
     for trajectory in trajectories:
         if trajectory.metadata.get("motion_sha256") != judged.input_sha256:
@@ -287,7 +287,7 @@ def verdict(report: Path | None, trajectories: Sequence[JointTrajectory]) -> Gat
                 where=str(report),
                 hint="score the rollout of the same motion",
             )
-    return Gate(passed=judged.passed)
+    return Verdict(passed=judged.passed)
 
 
 def film(

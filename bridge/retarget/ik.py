@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from bridge.retarget.avoid import AvoidTask
 from bridge.retarget.build import Build
 from bridge.retarget.stage import Actor, Stage
 from bridge.retarget.targets import Targets
@@ -25,6 +26,8 @@ from robots.errors import LimitViolation
 from robots.skeleton import FloatArray
 
 SOLVER = "daqp"
+CLEARANCE = 0.002
+"""Distance that bodies of the two robots keep, m."""
 DAMPING = 1e-4
 """Levenberg-Marquardt damping of every solve, rad^-2."""
 
@@ -42,6 +45,8 @@ class Costs:
     head: float = 0.15
     touch: float = 12.0
     """Of hands that meet; a hand on a chest gets a tenth."""
+    avoid: float = 6.0
+    """Of bodies of the two robots that overlap."""
     rest: float = 0.01
     calm: float = 0.2
     """On the motion itself, which calms redundant joints."""
@@ -174,7 +179,8 @@ def solve(
         for touch in touching
     ]
     tasks = [task for follower in followers for task in follower.tasks]
-    tasks += [posture, calm, *(task for _, task in meetings)]
+    avoid = AvoidTask(model, CLEARANCE, costs.avoid / arm)
+    tasks += [posture, calm, avoid, *(task for _, task in meetings)]
     limits = [mink.ConfigurationLimit(model), mink.VelocityLimit(model, _speeds(stage))]
     out = np.empty((count, model.nq))
     for t in range(count):

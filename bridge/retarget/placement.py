@@ -2,11 +2,12 @@
 
 **The problem.** Scaling a duet by leg length moves the bodies together by .29 (for an OP3) but the
 arms only shrink to .46: robots overlap or reach past each other. The distance between them is its
-own unknown. Let ``d(t)`` be the vector from a's touching point to b's, as the limb-normalised
-targets have it, and ``g(t)`` the intended one. Robots on legs get an offset that turns with the
-pair, ``alpha u(t) + beta n(t)`` with ``u`` from a to b and ``n`` across; alpha and beta are the
-closed-form least squares of ``d + alpha u + beta n - g`` over all touches. Half of it moves each. A
-fixed base has one place for the whole clip: the weighted mean does it.
+own unknown. Where no hands touch, it is scaled by the arms. Otherwise let ``d(t)`` be the vector
+from a's touching point to b's, as the limb-normalised targets have it, and ``g(t)`` the intended
+one. Robots on legs get an offset that turns with the pair, ``alpha u(t) + beta n(t)`` with ``u``
+from a to b and ``n`` across; alpha and beta are the closed-form least squares of
+``d + alpha u + beta n - g`` over all touches. Half of it moves each. A fixed base has one place for
+the whole clip: the weighted mean does it.
 """
 
 from __future__ import annotations
@@ -47,8 +48,11 @@ def place(
         b = _seen_from(people[0], b, builds[1].leg_length / people[1].leg_length)
     if not free[1]:
         a = _seen_from(people[1], a, builds[0].leg_length / people[0].leg_length)
-    across = _directions(a, b, people[0].motion.fps)
-    offset = _along(a, b, touching, across)
+    directions = _directions(a, b, people[0].motion.fps)
+    if _hand_touches(touching):
+        offset = _along(a, b, touching, directions)
+    else:
+        offset = _apart(people, builds, directions[0])
     if all(free):
         return (a.shifted(-0.5 * offset), b.shifted(0.5 * offset)), 0.0
     return ((a, b.shifted(offset)) if free[1] else (a.shifted(-offset), b)), 0.0
@@ -79,10 +83,23 @@ def _along(
         for i, direction in enumerate(directions):
             sums[i] += (touch.weight * np.einsum("ti,ti->t", miss, direction)).sum()
         weights += touch.weight.sum()
-    if not weights:
-        return np.zeros_like(directions[0])
     alpha, beta = sums / weights
     return alpha * directions[0] + beta * directions[1]
+
+
+def _apart(
+    people: tuple[Person, Person], builds: tuple[Build, Build], along: NDArray
+) -> FloatArray:
+    """Return the offset ``[T, 3]`` m of b against a that scales their distance by the arms."""
+    excess = np.mean(
+        [
+            b.arm_length / p.arm_length - (b.leg_length / p.leg_length if b.leg else 0.0)
+            for p, b in zip(people, builds, strict=True)
+        ]
+    )
+    distance = np.linalg.norm((people[1].hips - people[0].hips)[:, :2], axis=1)
+    slow: FloatArray = gaussian_filter1d(distance, 0.3 * people[0].motion.fps, mode="nearest")
+    return np.asarray(excess * slow[:, None] * along)
 
 
 def _miss(a: NDArray, b: NDArray, touch: Touch) -> FloatArray:

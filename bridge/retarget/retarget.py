@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from bridge.limits import require_within_limits, speeds
+from bridge.plan import Part
 from bridge.retarget.build import Build, measure
 from bridge.retarget.human import Person, observe
 from bridge.retarget.ik import Costs, solve
@@ -145,10 +145,9 @@ def _smoothed(stage: Stage, qpos: NDArray, sigma: float) -> FloatArray:
 
 def _slowing(stage: Stage, qpos: NDArray, fps: float, share: float) -> float:
     """Return the factor on time that brings every servo under its share of no-load speed."""
-    times = np.arange(len(qpos)) / fps
     ratios = [
-        (np.abs(speeds(times, qpos[:, actor.qpos])) / actor.robot.max_velocity).max()
-        for actor in stage.actors
+        (np.abs(np.diff(qpos[:, a.qpos], axis=0)) * fps / a.robot.max_velocity).max()
+        for a in stage.actors
     ]
     return max(1.0, float(max(ratios)) / share)
 
@@ -177,7 +176,7 @@ def _trajectory(
         },
         stage.base(index, qpos),
     )
-    require_within_limits(trajectory, actor.robot)
+    Part.of(trajectory, actor.robot)  # raises if a limit is broken
     return trajectory
 
 

@@ -37,12 +37,13 @@ def bad_files(folder: Path, good: Path) -> dict[str, tuple[Path, str]]:
     truncated = folder / "truncated.npz"
     truncated.write_bytes(good.read_bytes()[:2000])
     files["truncated"] = truncated, "cut off"
-    greedy = folder / "greedy.bvh"
-    greedy.write_text(
-        "HIERARCHY\nROOT Hips\n{\nOFFSET 0 0 0\nCHANNELS 6 Xposition Yposition Zposition"
-        " Zrotation Xrotation Yrotation\nEnd Site\n{\nOFFSET 0 1 0\n}\n}\nMOTION\n"
-        "Frames: 1000000000\nFrame Time: 0.0333\n0 0 0 0 0 0\n"
-    )
+    greedy = folder / "greedy_a.bvh"
+    for path in (greedy, folder / "greedy_b.bvh"):
+        path.write_text(
+            "HIERARCHY\nROOT Hips\n{\nOFFSET 0 0 0\nCHANNELS 6 Xposition Yposition Zposition"
+            " Zrotation Xrotation Yrotation\nEnd Site\n{\nOFFSET 0 1 0\n}\n}\nMOTION\n"
+            "Frames: 1000000000\nFrame Time: 0.0333\n0 0 0 0 0 0\n"
+        )
     files["greedy"] = greedy, "1000000000"
     pickled = folder / "pickled.pkl"
     pickled.write_bytes(pickle.dumps({"a": [1, 2, 3]}))

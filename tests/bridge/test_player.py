@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bridge.clock import VirtualClock
-from bridge.player import Gate, PlayerSettings, StopRequest, play
+from bridge.player import PlayerSettings, StopRequest, Verdict, play
 from bridge.ports import VIRTUAL, ports_of
 from bridge.telemetry import read_telemetry
 from bridge.trajectory import JointTrajectory
@@ -82,7 +82,7 @@ class Stage:
         return SdkTransport(port, robot.buses[bus].baud, opener=opener, clock=clock)
 
     def play(self, trajectories=DANCES, **options):
-        options.setdefault("gate", Gate(passed=True))
+        options.setdefault("gate", Verdict(passed=True))
         options.setdefault("settings", BRISK)
         return play(trajectories, ROBOTS, clock=self.clock, connector=self.connect, **options)
 
@@ -222,7 +222,7 @@ def test_a_robot_on_two_buses_is_one_robot():
         (DANCES[0], DANCES[0]),
         (split, robot),
         ports=({"left": "/dev/l", "right": "/dev/r"}, "/dev/other"),
-        gate=Gate(passed=True),
+        gate=Verdict(passed=True),
         arm=True,
         settings=BRISK,
         clock=clock,
@@ -292,7 +292,7 @@ def test_missing_and_unknown_joints_are_named():
 
 
 def test_a_failed_report_is_refused_unless_forced_on_virtual_ports():
-    failed = Gate(passed=False)
+    failed = Verdict(passed=False)
     refused(GateRefused, "did not pass", gate=failed)
     refused(
         GateRefused,

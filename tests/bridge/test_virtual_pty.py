@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from bridge.lock import PortLock
-from bridge.player import Gate, PlayerSettings, play
+from bridge.player import PlayerSettings, Verdict, play
 from bridge.telemetry import read_telemetry
 from bridge.trajectory import JointTrajectory
 from bridge.virtual import PtyServer, virtual_bus_for
@@ -107,7 +107,7 @@ def test_a_duet_on_two_pseudo_terminals_keeps_real_time():
         rate=50, ramp_time=0.3, settle_time=0.1, max_stall=5, watchdog=0, error_timeout=5
     )
     performance = play(
-        (trajectory, trajectory), (ROBOT, ROBOT), gate=Gate(passed=True), settings=settings
+        (trajectory, trajectory), (ROBOT, ROBOT), gate=Verdict(passed=True), settings=settings
     )
     assert performance.completed
     assert performance.duration == pytest.approx(1.5, abs=0.5)
@@ -120,7 +120,7 @@ def test_a_duet_on_two_pseudo_terminals_keeps_real_time():
 PLAYER = """
 import signal, sys
 import numpy as np
-from bridge.player import Gate, PlayerSettings, StopRequest, play
+from bridge.player import Verdict, PlayerSettings, StopRequest, play
 from bridge.trajectory import JointTrajectory
 from robots.registry import load_robot
 
@@ -136,7 +136,7 @@ settings = PlayerSettings(
 def progress(state, share):
     if state == "PLAY" and share > 0.005:
         print("dancing", flush=True)
-outcome = play((dance, dance), (robot, robot), gate=Gate(True), settings=settings, stop=stop,
+outcome = play((dance, dance), (robot, robot), gate=Verdict(True), settings=settings, stop=stop,
                on_progress=progress, telemetry=sys.argv[1]).outcome
 print("outcome", outcome, flush=True)
 """
