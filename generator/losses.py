@@ -81,6 +81,24 @@ def interaction_losses(
     frames = _frame_mask(mask, predicted)
     error = _persons(predicted - target).square().mean(-1).mean(-1)
     losses = {"simple": _per_clip(error, frames).mean()}
+    low = t <= config.last_regularised_step  # eq. (15); the others need not be computed
+    terms = _regularisers(predicted[low], target[low], frames[low], mean, std, config)
+    for name, value in terms.items():
+        weight = config.regularisation * getattr(config, name)
+        losses[name] = weight * value.sum() / len(t)
+    losses["total"] = torch.stack(list(losses.values())).sum()
+    return losses
+
+
+def _regularisers(
+    predicted: Tensor,
+    target: Tensor,
+    frames: Tensor,
+    mean: Tensor,
+    std: Tensor,
+    config: ObjectiveConfig,
+) -> Losses:
+    """Return the terms of eq. (14) for each clip, unweighted, ``[B]``."""
     raw, true = (_persons(x) * std + mean for x in (predicted, target))
     points, truth = (_keypoints(x, config.representation) for x in (raw, true))
     contacts = LOCAL_CONTACTS if config.representation == "canonical" else CONTACTS
@@ -90,19 +108,13 @@ def interaction_losses(
     slides = steps[..., _FEET, :].square().mean(-1) * standing
     bones = (_bone_lengths(points) - _bone_lengths(truth)).square().mean(-1)
     heading = _heading(points) - _heading(truth)
-    terms = {
+    return {
         "velocity": _per_clip((steps - true_steps).square().mean((-1, -2)).sum(-1), both),
         "foot": _per_clip(slides.mean(-1).sum(-1), both),
         "bone_length": _per_clip(bones.sum(-1), frames),
         "distance_map": _distance_map(points, truth, frames, config.near),
         "relative_orientation": _per_clip(heading.square().sum(-1), frames),
     }
-    gate = (t <= config.last_regularised_step).to(raw.dtype)
-    for name, value in terms.items():
-        weight = config.regularisation * getattr(config, name)
-        losses[name] = weight * (gate * value).mean()
-    losses["total"] = torch.stack(list(losses.values())).sum()
-    return losses
 
 
 def _frame_mask(mask: Tensor, like: Tensor) -> Tensor:
@@ -111,7 +123,7 @@ def _frame_mask(mask: Tensor, like: Tensor) -> Tensor:
 
 def _persons(x: Tensor) -> Tensor:
     """Return ``[B, T, 2, F]`` of ``[B, T, 2F]``."""
-    return x.reshape(*x.shape[:2], 2, -1)
+    return x.reshape(*x.shape[:2], 2, x.shape[2] // 2)
 
 
 def _per_clip(values: Tensor, mask: Tensor) -> Tensor:
@@ -169,9 +181,22 @@ def _distances(points: Tensor) -> Tensor:
 
 def _distance_map(points: Tensor, truth: Tensor, frames: Tensor, near: float) -> Tensor:
     """Eq. (12): squared errors of distances, mean over all near pairs of a clip; ``[B]``."""
-    close = (_distances(truth[..., ::2]) < near).to(points.dtype) * frames[..., None, None]
-    error = (_distances(points) - _distances(truth)).square() * close
-    return error.sum((1, 2, 3)) / close.sum((1, 2, 3)).clamp_min(1)
+    with torch.no_grad():
+        close = (_squared_distances(truth[..., ::2]) < near**2) & (frames > 0)[..., None, None]
+        counts = close.sum((1, 2, 3)).clamp_min(1)
+        expected = _squared_distances(truth).clamp_min(_TINY**2).sqrt()
+    error = _squared_distances(points).clamp_min(_TINY**2).sqrt() - expected
+    return (error * close).square().sum((1, 2, 3)) / counts
+
+
+def _squared_distances(points: Tensor) -> Tensor:
+    """Return ``[B, T, 22, 22]`` m^2 by a matrix product: the loss spends most of its time here.
+
+    Coordinates are taken from a's pelvis, so that little is lost where two large numbers cancel.
+    """
+    a, b = (points - points[:, :, :1, :1]).unbind(2)
+    squares = a.square().sum(-1)[..., :, None] + b.square().sum(-1)[..., None, :]
+    return squares - 2 * a @ b.transpose(-1, -2)
 
 
 def _facing(points: Tensor) -> Tensor:

@@ -84,6 +84,11 @@ class ClipCache:
         """Frames of every clip."""
         return [frames for _, _, frames, _, _, _ in self._clips]
 
+    @property
+    def licences(self) -> tuple[str, ...]:
+        """The licences of its clips, each once; what is trained on them must carry them."""
+        return tuple(sorted({licence for *_, licence in self._clips if licence}))
+
     def clip(self, index: int) -> Clip:
         """Return a clip.
 

@@ -9,7 +9,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from generator.data import Choreographed, DuetFolder, InterHuman, clip_of, resampled
+from generator.data import (
+    BatchConfig,
+    BatchStream,
+    Choreographed,
+    DuetFolder,
+    InterHuman,
+    cached,
+    clip_of,
+    resampled,
+)
 from generator.features import encode, pair_features, release_features
 from generator.io import write_motion
 from robots.errors import DuetError, MotionError, MotionFileError, PromptError, SpecError
@@ -71,6 +80,18 @@ def test_a_clip_has_the_sentences_and_the_release_s_features(dataset):
     np.testing.assert_allclose(features, expected, atol=1e-9)
 
 
+def test_the_dataset_goes_through_cache_and_batches_as_the_release_reads_it(dataset, tmp_path):
+    cache = cached(InterHuman(dataset, "train"), tmp_path / "cache")
+    assert cache.licences == ("CC BY-NC-SA 4.0 (InterHuman; redistribution prohibited)",)
+    config = BatchConfig(size=3, frames=40, mirror=False, swap=False, release_compat=True)
+    batch = BatchStream(cache, config).batch(0)
+    assert sorted(batch.names) == ["1", "2", "3"]
+    for x, n, name in zip(batch.x_raw, batch.lengths, batch.names, strict=True):
+        files = [np.load(dataset / f"motions_processed/person{p}/{name}.npy") for p in "12"]
+        expected = np.concatenate(release_features(files[0], files[1]), axis=1)
+        np.testing.assert_allclose(x[:n], expected, atol=1e-5)
+
+
 def test_a_file_cut_short_is_named(dataset):
     path = dataset / "motions_processed/person2/2.npy"
     path.write_bytes(path.read_bytes()[:-100])
@@ -78,6 +99,9 @@ def test_a_file_cut_short_is_named(dataset):
     clips.clip(0)
     with pytest.raises(MotionFileError, match=r"person2/2\.npy"):
         clips.clip(1)
+    with pytest.raises(MotionFileError, match=r"person2/2\.npy"):
+        cached(clips, dataset.parent / "cache")
+    assert list((dataset.parent / "cache").iterdir()) == []
 
 
 @pytest.mark.parametrize("size", [0, 5, 40, 127, 128, 2000])
