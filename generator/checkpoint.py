@@ -75,7 +75,7 @@ def load_release(
     """
     path = Path(path)
     where = path.name
-    state = _read_lightning(path)
+    state = read_lightning(path)
     network = {key: value for key, value in state.items() if not key.startswith(TEXT_PREFIXES)}
     config = infer_config(network, heads=heads, where=where)
     require(denoiser_shapes(config), network, where=where)
@@ -149,8 +149,8 @@ def load(
     words = {k.removeprefix(_TEXT): tensors.pop(k) for k in list(tensors) if k.startswith(_TEXT)}
     if encoder is None and text:
         encoder = _make_encoder(str(header.get("text_encoder", "")), words, Path(folder))
-    config = _from_json(DenoiserConfig, header.get("architecture"), where)
-    provenance = _from_json(Provenance, header.get("provenance"), where)
+    config = from_json(DenoiserConfig, header.get("architecture"), where)
+    provenance = from_json(Provenance, header.get("provenance"), where)
     with torch.device("meta"):
         model = InterGen(config, text=encoder, provenance=provenance)
     adopt(model, tensors, where=where)
@@ -182,7 +182,12 @@ def _make_encoder(kind: str, words: dict[str, Tensor], folder: Path) -> Sentence
     )
 
 
-def _from_json(kind: type, value: Any, where: str) -> Any:
+def from_json(kind: type, value: Any, where: str) -> Any:
+    """Return the dataclass ``kind`` that a header holds as an object.
+
+    Raises:
+        CheckpointError: An entry is unknown or wrong.
+    """
     if not isinstance(value, dict):
         raise CheckpointError(f"the header has no {kind.__name__}", where=where)
     known = {item.name for item in fields(kind)}
@@ -197,8 +202,12 @@ def _from_json(kind: type, value: Any, where: str) -> Any:
         raise CheckpointError(f"the header is wrong: {error}", where=where) from error
 
 
-def _read_lightning(path: Path) -> dict[str, Tensor]:
-    """Return a checkpoint's tensors without the prefix ``model.`` and without duplicates."""
+def read_lightning(path: Path) -> dict[str, Tensor]:
+    """Return a Lightning checkpoint's tensors, without the prefix ``model.`` and duplicates.
+
+    Raises:
+        CheckpointError: The file is damaged, holds code, or has no ``state_dict``.
+    """
     where = path.name
     content = _unpickle(path)
     state = content.get("state_dict", content) if isinstance(content, Mapping) else None

@@ -48,32 +48,44 @@ class Attention(nn.Module):
     CPU in bfloat16 is an order of magnitude slower.
     """
 
-    def __init__(self, width: int, heads: int, dropout: float) -> None:
-        """Make the weights of queries, of keys with values, and of the output."""
+    def __init__(self, width: int, heads: int, dropout: float, *, mutual: bool) -> None:
+        """Make the weights.
+
+        Args:
+            width: D.
+            heads: Number of heads, which divides the width.
+            dropout: Of attention weights, while training.
+            mutual: Whether keys and values come from somewhere else than the queries.
+        """
         super().__init__()
-        self.heads, self.dropout = heads, dropout
-        self.query = nn.Linear(width, width)
-        self.key_value = nn.Linear(width, 2 * width)
+        self.heads, self.dropout, self.mutual = heads, dropout, mutual
+        if mutual:
+            self.query = nn.Linear(width, width)
+            self.key_value = nn.Linear(width, 2 * width)
+        else:
+            self.project = nn.Linear(width, 3 * width)
         self.out = nn.Linear(width, width)
         bound = math.sqrt(6 / (width + 3 * width))  # Xavier's for one packed matrix
-        for layer in (self.query, self.key_value):
+        for layer in (self.query, self.key_value) if mutual else (self.project,):
             nn.init.uniform_(layer.weight, -bound, bound)
             nn.init.zeros_(layer.bias)
         nn.init.zeros_(self.out.bias)
 
-    def forward(self, queries: Tensor, context: Tensor, keep: Tensor | None) -> Tensor:
+    def forward(self, queries: Tensor, context: Tensor | None, keep: Tensor | None) -> Tensor:
         """Return ``[..., T, D]``.
 
         Args:
             queries: ``[..., T, D]``.
-            context: ``[..., S, D]``, source of keys and values.
+            context: ``[..., S, D]``, source of keys and values; ``None`` if not mutual.
             keep: ``[..., 1, 1, S + 1]``, which keys may be attended to; ``None``: all.
         """
-        q = self._split(self.query(queries))
-        keys_values = self.key_value(context).chunk(2, dim=-1)
+        if context is None:
+            q, *keys_values = self.project(queries).chunk(3, dim=-1)
+        else:
+            q, keys_values = self.query(queries), self.key_value(context).chunk(2, dim=-1)
         k, v = (functional.pad(self._split(part), (0, 0, 0, 1)) for part in keys_values)
         mixed = functional.scaled_dot_product_attention(
-            q.flatten(0, -4),
+            self._split(q).flatten(0, -4),
             k.flatten(0, -4),
             v.flatten(0, -4),
             attn_mask=None if keep is None else keep.flatten(0, -4),
@@ -118,9 +130,9 @@ class Block(nn.Module):
         self.modulation = nn.Linear(width, 2 * self.norms * width)
         nn.init.zeros_(self.modulation.weight)
         nn.init.zeros_(self.modulation.bias)
-        self.self_attention = Attention(width, config.heads, config.dropout)
+        self.self_attention = Attention(width, config.heads, config.dropout, mutual=False)
         if self.mutual:
-            self.mutual_attention = Attention(width, config.heads, config.dropout)
+            self.mutual_attention = Attention(width, config.heads, config.dropout, mutual=True)
         self.feedforward = FeedForward(width, config.feedforward, config.dropout)
 
     def forward(
@@ -137,7 +149,7 @@ class Block(nn.Module):
         """
         parts = modulation[:, None].chunk(2 * self.norms, dim=-1)
         own = adaptive_norm(hidden, *parts[0:2])
-        hidden = hidden + self.self_attention(own, own, keep)
+        hidden = hidden + self.self_attention(own, None, keep)
         if self.mutual:
             queries = adaptive_norm(hidden, *parts[4:6])
             context = adaptive_norm(partner, *parts[6:8])

@@ -18,6 +18,7 @@ from generator.architecture import DenoiserConfig
 from generator.denoiser import MAX_POSITIONS, Denoiser
 from generator.diffusion import STEPS, Constrain, SamplerConfig, sample
 from generator.guidance import Guided
+from generator.precision import matmul_precision
 from generator.smoothing import smooth
 from generator.text.encoder import SentenceEncoder
 from robots.errors import CheckpointError, PromptError, SpecError
@@ -49,6 +50,7 @@ class InterGen(nn.Module):
         text: What turns sentences into condition vectors; ``None``: only vectors are taken. Not a
             submodule, even if it is a module: optimisers and ``state_dict`` leave it alone.
         provenance: Origin, licence and frame rate.
+        matmul: What :func:`generator.precision.matmul_precision` is set to while sampling.
     """
 
     mean: Tensor
@@ -81,6 +83,7 @@ class InterGen(nn.Module):
         self.denoiser = Denoiser(config)
         self.__dict__["text"] = text
         self.provenance = provenance or Provenance()
+        self.matmul: Literal["highest", "medium"] = "highest"
         self.register_buffer("mean", torch.zeros(config.features))
         self.register_buffer("std", torch.ones(config.features))
         if mean is not None or std is not None:
@@ -219,10 +222,12 @@ class InterGen(nn.Module):
         was_training = self.training
         self.eval()
         try:
-            predict = Guided(self.denoiser, cond.to(self.denoiser.positions.dtype), config)
-            return sample(
-                predict, x_T, config, generator=generator, constrain=constrain, progress=progress
-            )
+            with matmul_precision(self.matmul):
+                predict = Guided(self.denoiser, cond.to(self.denoiser.positions.dtype), config)
+                return sample(
+                    predict, x_T, config, generator=generator, constrain=constrain,
+                    progress=progress,
+                )  # fmt: skip
         finally:
             self.train(was_training)
 

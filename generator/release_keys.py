@@ -174,9 +174,10 @@ def denoiser_state(state: Mapping[str, Tensor], config: DenoiserConfig) -> dict[
             result[f"{net}blocks.{i}.modulation.{kind}"] = torch.cat(
                 [state[f"{block}{norm}.emb_layers.1.{kind}"] for norm in _NORMS]
             )
-            for own, theirs in (("self", "sa"), ("mutual", "ca")):
-                packed = state[f"{block}{theirs}_block.attention.in_proj_{kind}"]
-                name = f"{net}blocks.{i}.{own}_attention"
-                result[f"{name}.query.{kind}"] = packed[: config.width].clone()
-                result[f"{name}.key_value.{kind}"] = packed[config.width :].clone()
+            own = f"{net}blocks.{i}.self_attention.project.{kind}"
+            result[own] = state[f"{block}sa_block.attention.in_proj_{kind}"].clone()
+            packed = state[f"{block}ca_block.attention.in_proj_{kind}"]
+            own = f"{net}blocks.{i}.mutual_attention"
+            result[f"{own}.query.{kind}"] = packed[: config.width].clone()
+            result[f"{own}.key_value.{kind}"] = packed[config.width :].clone()
     return result
