@@ -86,12 +86,14 @@ def swap_motion(motion: DuetMotion) -> DuetMotion:
 
 
 _IDIOMS = (
-    r"right(?=\s+(?:away|now|then|there|here|after|before|when|as|at\s+the|behind|beside|next\s+to"
-    r"|in\s+front|in\s+the\s+middle|through|into|up\s+to|angles?\b))"
+    r"right(?=\s+(?:away|now|there|here|after|before|behind|beside|next\s+to|in\s+front"
+    r"|in\s+the\s+middle|up\s+to|angles?\b))"
     r"|(?<=\ball\s)right|(?<=that's\s)right"
-    r"|left(?=\s+(?:alone|over|behind|off|out|standing|lying|the\s+(?:room|stage|scene|place)))"
-    r"|(?<=\b(?:has|had|are)\s)left|(?<=\bis\s)left|(?<=\bhave\s)left"
+    r"|left(?=\s+(?:alone|over|standing|lying|the\s+(?:room|stage|scene|place)))"
+    r"|(?:(?<=\bhas\s)|(?<=\bhad\s)|(?<=\bhave\s))left(?=\s+(?:the|his|her|their|its|a|an)\b)"
+    r"|(?:(?<=\bis\s)|(?<=\bare\s))left(?=\s+(?:with|behind|there|out)\b)"
 )
+"""Where the words are no sides. In doubt they are: most sentences about motion mean the side."""
 _SIDES = re.compile(
     rf"\b(?:{_IDIOMS})\b"
     r"|\b(?P<side>left|right)"

@@ -95,6 +95,14 @@ def test_labels_follow_the_motion(make_duet):
         ("one has left the room", "one has left the room"),
         ("all right, she lifts her right arm", "all right, she lifts her left arm"),
         ("brightly upright", "brightly upright"),
+        ("she has left her chair", "she has left her chair"),
+        ("she has left hand on hip", "she has right hand on hip"),
+        (
+            "he is left of her, she is left with nothing",
+            "he is right of her, she is left with nothing",
+        ),
+        ("moves right when the other moves left", "moves left when the other moves right"),
+        ("turn right then left-to-right", "turn left then right-to-left"),
     ],
 )
 def test_words_are_mirrored_and_nothing_but_words(before, after):
