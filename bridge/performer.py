@@ -176,7 +176,7 @@ class Performer:
 
     def _freeze(self, error: BaseException) -> None:
         """Hold both robots where they were told to be, as far as that still works."""
-        log.error("%s", error)
+        log.info("%s", error)  # whoever called is told by the exception
         self._enter("FAULT")
         self.file.event(self.clock.now(), "fault", error=str(error), type=type(error).__name__)
         if math.isnan(self._last_tick):

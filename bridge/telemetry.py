@@ -38,6 +38,7 @@ class Telemetry:
         """Name the file; it is made on entering."""
         self._path = path
         self._file: IO[str] | None = None
+        self._moved = False
 
     def __enter__(self) -> Telemetry:
         """Make the file.
@@ -62,9 +63,12 @@ class Telemetry:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close the file."""
-        if self._file is not None:
-            self._file.close()
+        """Close the file; if nothing moved before an error, leave none behind."""
+        if self._file is None:
+            return
+        self._file.close()
+        if error is not None and not self._moved and self._path is not None:
+            Path(self._path).unlink(missing_ok=True)
 
     def header(self, values: Mapping[str, Any]) -> None:
         """Write the first line."""
@@ -100,6 +104,7 @@ class Telemetry:
         """
         if self._file is None:
             return
+        self._moved = True
         self._line(
             {
                 "kind": "tick",

@@ -14,6 +14,7 @@ SDK itself stays as installed.
 from __future__ import annotations
 
 import logging
+import os
 import termios
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -404,4 +405,6 @@ def describe_model(number: int) -> str:
 
 
 def _reason(error: BaseException) -> str:
-    return (error.strerror if isinstance(error, OSError) else None) or str(error) or repr(error)
+    if isinstance(error, OSError) and error.errno:  # pyserial wraps the system's words in its own
+        return os.strerror(error.errno)
+    return str(error) or repr(error)

@@ -115,11 +115,10 @@ def choose(
     """
     meaning = understand(text, encoder=encoder)
     if not (meaning.known or nearest):
-        close = ", ".join(f"{name} ({share:.0%})" for name, share in meaning.ranking[:3])
         raise PromptError(
             f"'{_shortened(text)}' is not in the repertoire; the nearest is"
             f" '{meaning.interaction}'",
-            allowed=f"nearest: {close}",
+            allowed=", ".join(sorted(name for name, _ in meaning.ranking)),
             hint="say it differently, or take the nearest with --nearest",
         )
     return meaning

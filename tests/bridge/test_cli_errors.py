@@ -130,3 +130,58 @@ def test_generate_json_tells_what_was_understood(
     assert 0.5 < told["confidence"] <= 1
     assert told["frames"] > 60
     assert {c["a"] for c in told["contacts"]} == {"right_hand"}
+
+
+@pytest.fixture(scope="module")
+def trajectory_files(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    folder = tmp_path_factory.mktemp("trajectories")
+    write_motion(choreograph("bow", seed=1), folder / "motion.npz")
+    assert (
+        main(["retarget", str(folder / "motion.npz"), "-o", str(folder), "--robot", "marionette"])
+        == 0
+    )
+    return [str(folder / f"trajectory-{person}.npz") for person in "ab"]
+
+
+def test_an_unreachable_port_is_a_hardware_fault_and_leaves_no_telemetry(
+    trajectory_files: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The header of a performance that never began used to stay behind."""
+    report = passing_report(trajectory_files, tmp_path)
+    out = tmp_path / "telemetry.jsonl"
+    words = ["play", *trajectory_files, "--report", report, "-o", str(out)]
+    ports = ["--port", "/dev/tty-nowhere-1", "/dev/tty-nowhere-2"]
+    status, line = complain(capsys, *words, *ports, "--arm")
+    assert status == 3
+    assert "/dev/tty-nowhere-1" in line
+    assert line.count("No such file") == 1
+    assert not out.exists()
+    status, line = complain(capsys, *words, *ports)
+    assert status == 1
+    assert "--arm" in line
+
+
+def passing_report(trajectory_files: list[str], folder: Path) -> str:
+    """Write the report that these trajectories need."""
+    motion = Path(trajectory_files[0]).parent / "motion.npz"
+    assert main(["track", str(motion), "-o", str(folder / "rollout.npz")]) == 0
+    assert main(["score", str(folder / "rollout.npz"), "-o", str(folder / "report.json")]) == 0
+    return str(folder / "report.json")
+
+
+def test_nothing_is_played_without_a_report_or_with_that_of_another_motion(
+    trajectory_files: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, line = complain(capsys, "play", *trajectory_files, "-o", str(tmp_path / "t.jsonl"))
+    assert status == 1
+    assert "report" in line
+    write_motion(choreograph("bow", seed=2), tmp_path / "motion.npz")
+    assert main(["track", str(tmp_path / "motion.npz"), "-o", str(tmp_path)]) == 0
+    assert main(["score", str(tmp_path / "rollout.npz"), "-o", str(tmp_path)]) == 0
+    capsys.readouterr()
+    report = str(tmp_path / "report.json")
+    status, line = complain(
+        capsys, "play", *trajectory_files, "--report", report, "-o", str(tmp_path / "t.jsonl")
+    )
+    assert status == 1
+    assert "another motion" in line
