@@ -118,7 +118,8 @@ def prepared(model: InterGen, precision: Precision) -> InterGen:
         if medium_is_float32():
             result.matmul = "medium"
         else:
-            result.denoiser = _split(copy.deepcopy(model.denoiser, _shared(model.denoiser)))
+            result.denoiser = copy.deepcopy(model.denoiser, _shared(model.denoiser))
+            _split(result.denoiser)
     elif precision == "bfloat16":
         result.denoiser = copy.deepcopy(model.denoiser).bfloat16()
     return result.eval()
@@ -130,7 +131,7 @@ def _shared(module: nn.Module) -> dict[int, object]:
     return {id(tensor): tensor for tensor in tensors}
 
 
-def _split(module: nn.Module) -> nn.Module:
+def _split(module: nn.Module) -> None:
     """Replace the linears that are large and see every frame."""
     for name, child in list(module.named_children()):
         if isinstance(child, nn.Linear) and min(child.weight.shape) >= _SMALLEST:
@@ -138,7 +139,6 @@ def _split(module: nn.Module) -> nn.Module:
                 setattr(module, name, SplitLinear(child))
         elif name not in _ONCE:
             _split(child)
-    return module
 
 
 _ONCE = ("modulation", "embed_text", "embed_time")

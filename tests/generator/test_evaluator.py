@@ -153,6 +153,7 @@ def test_it_learns_to_tell_sentences_apart():
     centres = torch.randn(4, 1, 20, generator=generator)
     lengths = torch.full((4,), 8)
     optimiser = torch.optim.Adam(model.parameters(), lr=3e-3)
+    loss = torch.tensor(torch.inf)
     for _ in range(60):
         noise = 0.3 * torch.randn(4, 8, 20, generator=generator)
         loss = model.loss(centres + noise, lengths, prepared)

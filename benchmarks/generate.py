@@ -1,0 +1,234 @@
+"""How fast InterGen draws a motion on this CPU, against the public release's way of computing it.
+
+    python benchmarks/generate.py [--threads N] [--frames 300] [--width 1024]
+
+The baseline is the same mathematics with the same weights, computed as the release does it:
+``nn.MultiheadAttention``, float32, torch's defaults, both persons one after the other, time and
+text embedded anew in every step. One guided step of it is timed and multiplied by its 50 steps; all else
+is timed as it runs. Weights are random: what fewer digits and fewer steps cost in quality has to be
+measured on a trained model, not here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from generator.architecture import DenoiserConfig
+from generator.denoiser import Denoiser
+from generator.model import InterGen
+from generator.precision import PRECISIONS, medium_is_float32, prepared
+from generator.threads import default_threads, thread_limit
+
+FEW = 10
+"""Steps of the few-step setting: DPM-Solver++(2M), trailing."""
+
+
+class BaselineNorm(nn.Module):
+    """Layer norm with scale and shift from a linear of its own."""
+
+    def __init__(self, width: int) -> None:
+        """Make or take the layers."""
+        super().__init__()
+        self.norm = nn.LayerNorm(width, elementwise_affine=False, eps=1e-6)
+        self.linear = nn.Linear(width, 2 * width)
+
+    def forward(self, hidden: Tensor, embedding: Tensor) -> Tensor:
+        """Return the next states."""
+        scale, shift = self.linear(functional.silu(embedding))[:, None].chunk(2, dim=-1)
+        return self.norm(hidden) * (1 + scale) + shift
+
+
+class BaselineBlock(nn.Module):
+    """One block for one person, with the library's attention."""
+
+    def __init__(self, config: DenoiserConfig) -> None:
+        """Make or take the layers."""
+        super().__init__()
+        width, heads = config.width, config.heads
+        self.norms = nn.ModuleList(BaselineNorm(width) for _ in range(4))
+        self.own = nn.MultiheadAttention(width, heads, batch_first=True, add_zero_attn=True)
+        self.mutual = nn.MultiheadAttention(width, heads, batch_first=True, add_zero_attn=True)
+        self.inner = nn.Linear(width, config.feedforward)
+        self.outer = nn.Linear(config.feedforward, width)
+
+    def forward(self, hidden: Tensor, partner: Tensor, embedding: Tensor) -> Tensor:
+        """Return the next states."""
+        own = self.norms[0](hidden, embedding)
+        hidden = hidden + self.own(own, own, own, need_weights=False)[0]
+        queries = self.norms[2](hidden, embedding)
+        context = self.norms[3](partner, embedding)
+        hidden = hidden + self.mutual(queries, context, context, need_weights=False)[0]
+        inner = functional.gelu(self.inner(self.norms[1](hidden, embedding)))
+        return hidden + self.outer(inner)
+
+
+class Baseline(nn.Module):
+    """The denoiser, computed person by person, with a denoiser's weights."""
+
+    def __init__(self, denoiser: Denoiser) -> None:
+        """Make or take the layers."""
+        super().__init__()
+        self.denoiser = denoiser
+        net = denoiser.networks[0]
+        self.blocks = nn.ModuleList()
+        for block in net.blocks:
+            copy = BaselineBlock(denoiser.config)
+            pairs = [(copy.inner, block.feedforward.inner), (copy.outer, block.feedforward.outer)]
+            weights = block.modulation.weight.chunk(4), block.modulation.bias.chunk(4)
+            for norm, weight, bias in zip(copy.norms, *weights, strict=True):
+                norm.linear.weight.data, norm.linear.bias.data = weight, bias  # type: ignore[union-attr]
+            own, mutual = block.self_attention, block.mutual_attention
+            for kind in ("weight", "bias"):
+                packed = getattr(own.project, kind)
+                getattr(copy.own, f"in_proj_{kind}").data = packed.data
+                parts = [getattr(mutual.query, kind), getattr(mutual.key_value, kind)]
+                getattr(copy.mutual, f"in_proj_{kind}").data = torch.cat(parts).data
+            pairs += [(copy.own.out_proj, own.out), (copy.mutual.out_proj, mutual.out)]
+            for target, source in pairs:
+                target.weight.data, target.bias.data = source.weight.data, source.bias.data
+            self.blocks.append(copy)
+
+    def forward(self, x: Tensor, t: Tensor, cond: Tensor) -> Tensor:
+        """Return the next states."""
+        net = self.denoiser.networks[0]
+        embedding = net.condition(self.denoiser.positions[t], cond)
+        a, b = (
+            net.embed_motion(part) + self.denoiser.positions[: x.shape[1]]
+            for part in x.chunk(2, dim=-1)
+        )
+        for block in self.blocks:
+            a, b = block(a, b, embedding), block(b, a, embedding)
+        return torch.cat([net.out(a), net.out(b)], dim=-1)
+
+
+def make_model(config: DenoiserConfig) -> InterGen:
+    """Return a model with random weights in every layer, without keeping two copies."""
+    with torch.device("meta"):
+        model = InterGen(config)
+    model.to_empty(device="cpu")
+    generator = torch.Generator().manual_seed(0)
+    for value in model.parameters():
+        scale = value.shape[-1] ** -0.5 if value.dim() > 1 else 0.05
+        nn.init.normal_(value, std=scale, generator=generator)
+    fresh = InterGen(DenoiserConfig(width=config.width, layers=1, heads=1, feedforward=1))
+    model.denoiser.positions.copy_(fresh.denoiser.positions)
+    model.set_statistics(torch.zeros(config.features), torch.ones(config.features))
+    return model.eval()
+
+
+def seconds(function: Callable[[], object], repeats: int) -> float:
+    """Return the shortest of some runs, after one that does not count."""
+    function()
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        function()
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+@torch.no_grad()
+def time_baseline(model: InterGen, x: Tensor, cond: Tensor, repeats: int) -> tuple[Tensor, float]:
+    """Return what one guided step at t = 0 gives the release's way, and its seconds."""
+    both, t = torch.cat([cond, torch.zeros_like(cond)]), torch.tensor([0, 0])
+    baseline = Baseline(model.denoiser).eval()
+
+    def step() -> Tensor:
+        with_text, without = baseline(x.repeat(2, 1, 1), t, both).chunk(2)
+        return without + 3.5 * (with_text - without)
+
+    return step(), seconds(step, repeats)
+
+
+def compare(model: InterGen, frames: int, repeats: int) -> None:
+    """Print time and error per guided step of every precision, and of whole clips."""
+    cond = torch.randn(1, model.config.text_width, generator=torch.manual_seed(1))
+    x = torch.randn(1, frames, 2 * model.config.features, generator=torch.manual_seed(2))
+    exact, base = time_baseline(model, x, cond, repeats)
+    largest = float(exact.abs().max())
+    print(f"one guided step, {frames} frames, {model.config.width} wide, numbers to {largest:.0f}")
+    print(f"  the release's way        {base:7.3f} s")
+    for precision in PRECISIONS:
+        fast = prepared(model, precision)
+        error = float((fast.sample(cond, frames, steps=1, x_T=x) - exact).abs().max())
+        clips = []
+        for _ in range(repeats):
+            start = time.perf_counter()
+            fast.sample(cond, frames, steps=FEW, solver="dpm2m", spacing="trailing", seed=0)
+            clips.append(time.perf_counter() - start)
+        clip = min(clips)
+        print(
+            f"  {precision:12s}             {clip / FEW:7.3f} s   x{FEW * base / clip:5.2f}"
+            f"   largest error {error:.1e}, {error / largest:.1e} of the largest number"
+        )
+        print(
+            f"    whole clip, {FEW} steps:   {clip:7.2f} s   x{50 * base / clip:5.1f}"
+            f"   of the release's 50 steps, {50 * base:.0f} s"
+        )
+
+
+@torch.no_grad()
+def contended(model: InterGen, frames: int) -> None:
+    """Print how much a second busy program slows sampling down."""
+    cond = torch.randn(1, model.config.text_width, generator=torch.manual_seed(1))
+    fast = prepared(model, "bfloat16")
+
+    def run() -> Tensor:
+        return fast.sample(cond, frames, steps=3, seed=0)
+
+    alone = seconds(run, 3)
+    busy = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+    try:
+        together = seconds(run, 3)
+    finally:
+        busy.kill()
+        busy.wait()
+    print(f"beside a busy program: {together / alone:.2f} of the time alone")
+
+
+def peak(config: DenoiserConfig, frames: int, precision: str) -> None:
+    """Print the most memory that this process held after one clip (run in a process of its own)."""
+    model = make_model(config)
+    model = prepared(model, precision)  # type: ignore[arg-type]
+    model.sample(torch.randn(1, config.text_width), frames, steps=2, seed=0)
+    print(f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f}")
+
+
+def main() -> None:
+    """Run everything."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else None)
+    parser.add_argument("--threads", type=int, default=default_threads())
+    parser.add_argument("--frames", type=int, default=300)
+    parser.add_argument("--width", type=int, default=1024)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--peak", choices=PRECISIONS, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    config = DenoiserConfig(width=options.width, feedforward=2 * options.width)
+    with thread_limit(options.threads):
+        if options.peak:
+            peak(config, options.frames, options.peak)
+            return
+        print(f"torch {torch.__version__}, {options.threads} thread(s),", end=" ")
+        print("'medium' is float32" if medium_is_float32() else "'medium' is bfloat16 (AMX)")
+        model = make_model(config)
+        compare(model, options.frames, options.repeats)
+        contended(model, options.frames)
+        del model
+    for precision in PRECISIONS:
+        command = [sys.executable, __file__, "--peak", precision, "--threads", str(options.threads)]
+        command += ["--frames", str(options.frames), "--width", str(options.width)]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        print(f"peak memory, {precision}: {done.stdout.strip()} GiB")
+
+
+if __name__ == "__main__":
+    main()
