@@ -25,6 +25,7 @@ from generator.data import (
     clip_of,
     measure,
 )
+from generator.data.batches import _shares
 from generator.data.statistics import STD_FLOOR, RunningStatistics
 from generator.features import POSITIONS, encode, lowest, pair_features
 from robots.errors import MotionFileError, SpecError
@@ -315,6 +316,15 @@ def test_a_mixture_keeps_its_weights_and_visits_evenly(make_duet, tmp_path):
     for epoch in range(3):
         part = [stream.sample(epoch * 16 + i) for i in range(16)]
         assert sum(len(features) + 1 in small.lengths for features, _, _ in part) == 4
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.floats(0.01, 100), min_size=1, max_size=6), st.integers(1, 1000))
+def test_shares_add_up_and_are_next_to_the_weights(weights, total):
+    shares = _shares(weights, total)
+    assert sum(shares) == total
+    ideal = np.array(weights) / sum(weights) * total
+    assert np.abs(shares - ideal).max() < 1 + 1e-9
 
 
 def test_mixtures_that_cannot_be_are_refused(made, tmp_path):

@@ -233,6 +233,26 @@ def test_the_distance_map_sees_only_who_is_near_in_the_truth(batch):
     assert float(losses["distance_map"]) > 0
 
 
+def test_the_distance_map_is_a_mean_over_the_near_pairs_of_a_clip(batch):
+    """Written out with numpy, from positions, pair by pair."""
+    x, mask = batch[0], batch[1].numpy().astype(bool)
+    noise = torch.randn(x.shape, generator=torch.manual_seed(3)).double()
+    predicted = x + 0.1 * noise
+    values = []
+    for clip in range(2):
+        points, truth = (
+            y.view(2, 19, 2, 262)[clip, mask[clip]][..., POSITIONS].reshape(-1, 2, 22, 1, 3).numpy()
+            for y in (predicted, x)
+        )
+        gaps = [p[:, 0] - p[:, 1].swapaxes(1, 2) for p in (points, truth)]
+        far, expected = (np.linalg.norm(gap, axis=-1) for gap in gaps)
+        near = np.linalg.norm(gaps[1][..., ::2], axis=-1) < 0.8
+        assert 0.02 < near.mean() < 0.98
+        values.append(((far - expected)[near] ** 2).mean())
+    losses = paper(batch, predicted, near=0.8, distance_map=1.0)
+    assert losses["distance_map"].item() == pytest.approx(np.mean(values), rel=1e-9)
+
+
 def test_bone_length_and_velocity_mean_what_they_say(batch):
     x = batch[0].clone().view(2, 19, 2, 262)
     grown = x.clone()
