@@ -5,8 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from generator.data.clip import Clip, clip_of
-from generator.io import read_motion
+from generator.io import MOTION_SCHEMA, read_motion
 from robots.errors import MotionFileError
+from robots.files import read_archive
+
+
+_OURS = "pasdedeux."
+_MOTIONS = MOTION_SCHEMA.split("/")[0] + "/"
 
 
 def fingerprint_of(root: Path, paths: list[Path]) -> str:
@@ -27,22 +32,33 @@ def fingerprint_of(root: Path, paths: list[Path]) -> str:
     return "\n".join(lines)
 
 
+def _may_be_motion(path: Path) -> bool:
+    try:
+        header, _ = read_archive(path, header_only=True)
+    except MotionFileError:
+        return True  # the error is to be raised, and not a clip to be lost, when it is read
+    schema = str((header or {}).get("schema", MOTION_SCHEMA))
+    return schema.startswith(_MOTIONS) or not schema.startswith(_OURS)
+
+
 class DuetFolder:
     """Motion files as ``generate``, ``track`` and ``run`` write them, also in subfolders.
 
     So does physics reach the training: motions that the simulation repaired are read from disk.
+    Other files of this project, such as rollouts and trajectories, are left out; a damaged or
+    foreign file is an error when its turn comes.
     """
 
     def __init__(self, root: str | Path) -> None:
-        """List the files; they are opened when asked for.
+        """List the files; their arrays are read when asked for.
 
         Raises:
             MotionFileError: The folder does not exist or holds no motion.
         """
         self._root = Path(root)
-        self._paths = sorted(self._root.rglob("*.npz"))
+        self._paths = [path for path in sorted(self._root.rglob("*.npz")) if _may_be_motion(path)]
         if not self._paths:
-            raise MotionFileError("there is no .npz in this folder", where=str(root))
+            raise MotionFileError("there is no motion (.npz) in this folder", where=str(root))
 
     @property
     def name(self) -> str:

@@ -22,6 +22,7 @@ from generator.data import (
 from generator.features import encode, pair_features, release_features
 from generator.io import write_motion
 from robots.errors import DuetError, MotionError, MotionFileError, PromptError, SpecError
+from robots.files import write_archive
 
 
 def interhuman_rows(duet, hip_shift=0.0):
@@ -184,8 +185,17 @@ def test_motion_files_are_found_in_subfolders(make_duet, tmp_path):
     (tmp_path / "b.npz").write_bytes(b"PK junk")
     with pytest.raises(MotionFileError, match=r"b\.npz"):
         folder.clip(1)
-    with pytest.raises(MotionFileError, match=r"no \.npz"):
+    with pytest.raises(MotionFileError, match=r"no motion"):
         DuetFolder(tmp_path / "empty")
+
+
+def test_rollouts_and_trajectories_beside_a_motion_are_left_out(make_duet, tmp_path):
+    write_motion(make_duet(frames=16), tmp_path / "run/motion.npz")
+    write_archive(tmp_path / "run/rollout.npz", {"schema": "pasdedeux.rollout/1"}, {})
+    assert len(DuetFolder(tmp_path)) == 1
+    (tmp_path / "run/motion.npz").unlink()
+    with pytest.raises(MotionFileError, match="no motion"):
+        DuetFolder(tmp_path)
 
 
 def test_fingerprints_change_with_the_content(dataset, make_duet, tmp_path):
