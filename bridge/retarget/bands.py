@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf, dtrtri
+from scipy.linalg import get_lapack_funcs
 
 from robots.skeleton import FloatArray
 
@@ -53,6 +53,7 @@ def solve_blocks(blocks: NDArray, below: NDArray, far: NDArray, right: NDArray) 
         numpy.linalg.LinAlgError: ``A`` is not positive definite.
     """
     count, n = right.shape
+    dpotrf, dtrtri = get_lapack_funcs(("potrf", "trtri"), dtype=np.float64)
     # A = L L'. Kept per row t: the inverse of L(t, t), and L(t, t - 1), L(t, t - 2).
     inverse = np.zeros((count, n, n))
     near, wide = np.zeros((count, n, n)), np.zeros((count, n, n))

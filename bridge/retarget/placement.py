@@ -36,7 +36,8 @@ def place(
     """Return the targets of both robots on one stage, and the yaw of b's base if it is fixed.
 
     A fixed a stands at the origin and faces +x. If only one robot is fixed, the other moves about
-    it as the people moved about each other.
+    it as the people moved about each other, and the fixed one is put on a block that brings its
+    shoulders to the other's height.
     """
     a, b = (
         standing_targets(person, build) if on_legs else seated_targets(person, build)
@@ -48,6 +49,9 @@ def place(
         b = _seen_from(people[0], b, builds[1].leg_length / people[1].leg_length)
     if not free[1]:
         a = _seen_from(people[1], a, builds[0].leg_length / people[0].leg_length)
+    if not all(free):
+        block = np.array([0.0, 0.0, _block_height(builds, free)])
+        a, b = (a, b.shifted(block)) if free[0] else (a.shifted(block), b)
     directions = _directions(a, b, people[0].motion.fps)
     if _hand_touches(touching):
         offset = _along(a, b, touching, directions)
@@ -56,6 +60,19 @@ def place(
     if all(free):
         return (a.shifted(-0.5 * offset), b.shifted(0.5 * offset)), 0.0
     return ((a, b.shifted(offset)) if free[1] else (a.shifted(-offset), b)), 0.0
+
+
+def _block_height(builds: tuple[Build, Build], free: tuple[bool, bool]) -> float:
+    """Return what a fixed robot must be raised by, m, for shoulders as high as the other's."""
+    heights = []
+    for build, on_legs in zip(builds, free, strict=True):
+        shoulders = build.torso_from_base + np.mean(list(build.shoulders.values()), axis=0)
+        base = 0.0
+        if on_legs:
+            hips = np.mean(list(build.hips.values()), axis=0)
+            base = build.leg_length + build.ankle_height - hips[2]
+        heights.append(base + shoulders[2])
+    return max(0.0, heights[free.index(True)] - heights[free.index(False)])
 
 
 def _seen_from(person: Person, targets: Targets, scale: float) -> Targets:

@@ -58,7 +58,9 @@ class PolishCosts:
     touch: float = 8.0
     """Of hands that meet; a hand on a chest gets a tenth."""
     collision: float = 5.0
-    """On penetration, per arm length."""
+    """On robots overlapping, per arm length. More, and thin limbs jump through each other."""
+    floor: float = 25.0
+    """On sinking into the floor, per arm length."""
     rest: float = 0.02
     inertia: float = 0.08
     """Time constant of the low-pass that acceleration costs amount to, s."""
@@ -140,7 +142,6 @@ class _Polisher:
         self.model: Any = copy.copy(stage.model)
         self.data = mujoco.MjData(self.model)
         self.owner = self.model.body_rootid[self.model.geom_bodyid]
-        self.clearance = CLEARANCE
         self.model.geom_margin[self.owner > 0] = CLEARANCE
         self.arm = 0.5 * (builds[0].arm_length + builds[1].arm_length)
         self.goals = _goals(stage, builds, targets, touching, costs)
@@ -174,7 +175,7 @@ class _Polisher:
         angles = self._angles(qpos[start:stop])
         gradient += self.rest_weights**2 * (angles - self.rest)
         diagonal = self.rest_weights**2 + self.costs.damping**2
-        count, nv = gradient.shape
+        nv = self.model.nv
         hessian[:, range(nv), range(nv)] += diagonal
         lines, pull = self._smoothness(qpos, start, stop)
         gradient += pull
@@ -230,11 +231,8 @@ class _Polisher:
         lines, pull = second_difference_bands(acceleration, last - first)
         inside = slice(start - first, stop - first)
         weight = self.inertia**2
-        out = []
-        for k, line in enumerate(lines):
-            part = line[inside].copy()
-            out.append(part[:, None] * weight)
-        return out, pull[inside] * weight
+        bands = [line[inside, None] * weight for line in lines]
+        return bands, pull[inside] * weight
 
     def _tracking(self, qpos: FloatArray, start: int, stop: int) -> tuple[FloatArray, FloatArray]:
         """Return normal matrices ``[n, nv, nv]`` and gradients ``[n, nv]`` of all else."""
@@ -297,17 +295,24 @@ class _Polisher:
             rows.extend(weights[t] * (other - one))
             values.extend(weights[t] * (1 - touch.gap / distance) * between)
         mujoco.mj_collision(model, data)
-        weight = self.costs.collision / self.arm
-        for contact in data.contact[: data.ncon]:
-            bodies = model.geom_bodyid[contact.geom]
-            touching = (self.owner[contact.geom1], self.owner[contact.geom2])
-            lack = float(contact.dist) - (self.clearance if all(touching) else 0.0)
-            if lack >= 0 or (min(bodies), max(bodies)) in held:
-                continue
-            mujoco.mj_jac(model, data, one, None, contact.pos, int(bodies[0]))
-            mujoco.mj_jac(model, data, other, None, contact.pos, int(bodies[1]))
-            rows.append(weight * (contact.frame[:3] @ (other - one)))
-            values.append(weight * lack)
+        found = data.contact
+        among_robots = (self.owner[found.geom] > 0).all(axis=1)
+        lacks = found.dist - np.where(among_robots, CLEARANCE, 0.0)
+        for i in np.flatnonzero(lacks < 0):
+            bodies = [int(body) for body in model.geom_bodyid[found.geom[i]]]
+            if (min(bodies), max(bodies)) in held:
+                lacks[i] += CLEARANCE  # these two may touch, not overlap
+                if lacks[i] >= 0:
+                    continue
+            weight = (self.costs.collision if among_robots[i] else self.costs.floor) / self.arm
+            normal = found.frame[i, :3]
+            row = np.zeros(model.nv)
+            for sign, body in zip((-1.0, 1.0), bodies, strict=True):
+                if body:
+                    mujoco.mj_jac(model, data, one, None, found.pos[i], body)
+                    row += sign * weight * (normal @ one)
+            rows.append(row)
+            values.append(weight * float(lacks[i]))
         return rows, values
 
 

@@ -2,8 +2,8 @@
 
 In order: what each person does in directions (:mod:`.human`), limb-normalised targets
 (:mod:`.targets`), where the robots stand (:mod:`.placement`), inverse kinematics of both in one
-model (:mod:`.ik`), smoothing, and one common slowing-down so that no servo is asked for more speed
-than it has.
+model (:mod:`.ik`), refinement over time (:mod:`.polish`), and one common slowing-down so that no
+servo is asked for more speed than it has.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from bridge.plan import Part
 from bridge.retarget.build import Build, measure
 from bridge.retarget.human import Person, observe
 from bridge.retarget.ik import Costs, solve
 from bridge.retarget.placement import place
+from bridge.retarget.polish import polish
 from bridge.retarget.report import (
     RetargetReport,
     collision_figures,
@@ -46,10 +46,10 @@ class RetargetSettings:
 
     speed_share: float = 0.65
     """Share of a servo's no-load speed that it may be asked for; the rest is for its load."""
-    smoothing: float = 0.06
-    """Standard deviation of the low-pass on joint angles, s."""
-    iterations: int = 3
+    iterations: int = 1
     """Solves per moment."""
+    polish: int = 8
+    """Steps of the refinement over the whole motion; 0 leaves it out."""
     costs: Costs = Costs()  # noqa: RUF009 - frozen
     """Weights of the tasks."""
 
@@ -57,8 +57,8 @@ class RetargetSettings:
         """Validate."""
         if not 0.05 <= self.speed_share <= 1:
             raise SpecError(f"speed_share {self.speed_share}", allowed="0.05 to 1")
-        if not 0 <= self.smoothing <= 0.5:
-            raise SpecError(f"smoothing {self.smoothing} s", allowed="0 to 0.5 s")
+        if not 0 <= self.polish <= 100:
+            raise SpecError(f"{self.polish} steps of polish", allowed="0 to 100")
         if not 1 <= self.iterations <= 100:
             raise SpecError(f"{self.iterations} iterations", allowed="1 to 100")
 
@@ -117,9 +117,19 @@ def retarget(
         fps=motion.fps,
         costs=settings.costs,
         iterations=settings.iterations,
-        progress=progress,
+        progress=None if progress is None else lambda share: progress(0.4 * share),
     )
-    qpos = _smoothed(stage, qpos, settings.smoothing * motion.fps)
+    if settings.polish:
+        qpos = polish(
+            stage,
+            builds,
+            targets,
+            touching,
+            qpos,
+            fps=motion.fps,
+            iterations=settings.polish,
+            progress=None if progress is None else lambda share: progress(0.4 + 0.6 * share),
+        )
     slowed_by = _slowing(stage, qpos, motion.fps, settings.speed_share)
     times = np.arange(len(qpos)) / motion.fps * slowed_by
     trajectories = [
@@ -128,19 +138,6 @@ def retarget(
     ]
     report = _report(stage, builds, people, touching, qpos, motion.fps, slowed_by, yaw)
     return Retargeted((trajectories[0], trajectories[1]), report, stage, qpos)
-
-
-def _smoothed(stage: Stage, qpos: NDArray, sigma: float) -> FloatArray:
-    """Return poses low-passed in time (no delay), within the joint limits."""
-    if not sigma:
-        return np.array(qpos)
-    out = gaussian_filter1d(qpos, sigma, axis=0, mode="nearest")
-    for actor in stage.actors:
-        out[:, actor.qpos] = np.clip(out[:, actor.qpos], actor.robot.lower, actor.robot.upper)
-        if actor.free:  # quaternions of neighbours are close, so their mean only lacks length
-            at = slice(actor.base_qpos + 3, actor.base_qpos + 7)
-            out[:, at] /= np.linalg.norm(out[:, at], axis=1, keepdims=True)
-    return out
 
 
 def _slowing(stage: Stage, qpos: NDArray, fps: float, share: float) -> float:

@@ -18,6 +18,9 @@ PEOPLE = ("a", "b")
 LANDMARK = "landmark:"
 """Prefix of the sites that mark landmarks."""
 
+BLOCK = 1.0
+"""Length of the block under a fixed base, m: the highest it can be raised in a picture."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Actor:
@@ -105,6 +108,8 @@ def build_stage(robots: tuple[RobotSpec, RobotSpec]) -> Stage:
             child.body(landmark.body).add_site(
                 name=LANDMARK + landmark.name, pos=landmark.pos, group=4
             )
+        if robot.base == "fixed":
+            _add_block(child)
         scene.attach(child, prefix=f"{person}/", frame=scene.worldbody.add_frame())
     try:
         model = scene.compile()
@@ -112,6 +117,21 @@ def build_stage(robots: tuple[RobotSpec, RobotSpec]) -> Stage:
         raise SpecError(f"the two robots do not fit one scene: {error}") from error
     a, b = (_actor(model, person, robot) for person, robot in zip(PEOPLE, robots, strict=True))
     return Stage(scene, model, (a, b))
+
+
+def _add_block(child: mujoco.MjSpec) -> None:
+    """Hang a block under a fixed base: in the floor, unless the robot is raised onto it."""
+    root = child.worldbody.first_body()
+    root.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        size=[0.05, BLOCK / 2, 0.0],
+        pos=[0.0, 0.0, -BLOCK / 2],
+        rgba=[0.5, 0.42, 0.33, 1.0],
+        contype=0,
+        conaffinity=0,
+        mass=0.0,
+        group=1,
+    )
 
 
 def _actor(model: Any, person: str, robot: RobotSpec) -> Actor:

@@ -72,7 +72,7 @@ def test_both_trajectories_run_on_one_clock_within_their_speed(a: str, b: str) -
 
 def test_time_is_stretched_only_when_a_servo_is_too_slow() -> None:
     robots = (load_robot("marionette"), load_robot("marionette"))
-    slow = retarget(duet("handshake"), robots, settings=RetargetSettings(speed_share=0.1))
+    slow = retarget(duet("handshake"), robots, settings=RetargetSettings(speed_share=0.05))
     fast = retarget(duet("handshake"), robots)
     assert fast.report.slowed_by == 1.0
     assert slow.report.slowed_by > 1.5
