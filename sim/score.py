@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib import metadata
 from typing import Any, Literal
 
@@ -21,88 +21,17 @@ from numpy.typing import NDArray
 from generator.motion import DuetMotion
 from robots.humanoid import HumanBody
 from sim.footing import sole_corners
+from sim.gate import KINEMATIC_TERMS, TRACKED_TERMS, Gate, Subject, Term
 from sim.inverse import inverse_dynamics
 from sim.metrics import contact, effort, ground, penetration, smoothness, tracking
 from sim.reference import make_reference
 from sim.report import Metric, Report
 from sim.rollout import Rollout, motion_sha256
 from sim.scene import Scene, build_scene
+from sim.sheet import PEOPLE, Sheet
 
-Summary = Literal["mean", "max", "min", "p95"]
-Subject = Literal["reference", "simulated"]
 TOUCH = 0.010
 """Two people deeper inside each other than this, m, collide; less is soft flesh."""
-_PEOPLE: tuple[Literal["a", "b"], Literal["a", "b"]] = ("a", "b")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Gate:
-    """The worst values with which a duet may still be performed.
-
-    Chosen so that captured duets pass with room and nonsense fails; ``docs/physics.md`` has the
-    measured values of both.
-    """
-
-    mpjpe_global_mm: float = 150.0
-    """Simulated: mean keypoint error of each person."""
-    penetration_p95_mm: float = 30.0
-    """Simulated: depth of the two people in each other, in 95 % of the time."""
-    floor_penetration_p95_mm: float = 40.0
-    """Simulated: depth below the floor, in 95 % of the time."""
-    assist_mean_percent: float = 50.0
-    """Simulated: mean force of the helping hand, body weights."""
-    reference_penetration_p95_mm: float = 150.0
-    """Asked for: captured contact in other bodies' keypoints reaches 100 mm; one person inside the
-    other is deeper."""
-    reference_floor_p95_mm: float = 80.0
-    """Asked for, kinematic reports: depth below the floor."""
-    reference_float_mean_mm: float = 80.0
-    """Asked for, kinematic reports: height above the floor, on average."""
-    residual_force_mean_percent: float = 60.0
-    """Asked for, kinematic reports: force that no floor could give through the feet, body weights;
-    100 for people who hover or lie."""
-    speed_max: float = 15.0
-    """Asked for: speed of the fastest keypoint, m/s."""
-    bone_deviation_p95_percent: float = 20.0
-    """Asked for: bones that change their length."""
-    pelvis_height_min_percent: float = 25.0
-    """Asked for: lowest pelvis, of its standing height; below that somebody lies or sits."""
-
-
-@dataclass(frozen=True, slots=True)
-class Term:
-    """One factor of the score."""
-
-    name: str
-    of: Subject
-    good: float
-    """Up to here the factor is 1."""
-    half: float
-    """Here it is 1/2."""
-    weight: float = 1.0
-
-
-TRACKED_TERMS = (
-    Term("mpjpe_global", "simulated", 30, 150),
-    Term("acceleration_error", "simulated", 4, 15, 0.5),
-    Term("penetration_p95", "simulated", 10, 40),
-    Term("floor_penetration_p95", "simulated", 15, 50, 0.5),
-    Term("slide_ratio", "simulated", 5, 40, 0.5),
-    Term("assist_mean", "simulated", 10, 50),
-    Term("contact_recall", "simulated", 100, 40, 0.5),
-    Term("penetration_p95", "reference", 20, 120, 0.5),
-    Term("speed_max", "reference", 10, 20),
-)
-KINEMATIC_TERMS = (
-    Term("penetration_p95", "reference", 10, 80),
-    Term("floor_penetration_p95", "reference", 20, 80),
-    Term("float_mean", "reference", 20, 80),
-    Term("slide_ratio", "reference", 5, 40, 0.5),
-    Term("ground_shift", "reference", 30, 100, 0.5),
-    Term("residual_force_mean", "reference", 10, 50),
-    Term("bone_deviation_p95", "reference", 3, 15, 0.5),
-    Term("speed_max", "reference", 10, 20),
-)
 
 
 def tolerance(value: float, good: float, half: float) -> float:
@@ -125,7 +54,7 @@ def score(rollout: Rollout, gate: Gate | None = None) -> Report:
     Raises:
         SpecError: The rollout's scene is not one of this project.
     """
-    gate, sheet = gate or Gate(), _Sheet(rollout.times)
+    gate, sheet = gate or Gate(), Sheet(rollout.times)
     keypoints, reference, rate = rollout.keypoints, rollout.reference, rollout.rate
     bodies = rollout.bodies
     sheet.fall(rollout)
@@ -165,7 +94,7 @@ def score_motion(motion: DuetMotion, gate: Gate | None = None) -> Report:
     """
     gate = gate or Gate()
     reference = make_reference(motion, rate=motion.fps, smoothing=0.0, clear=False)
-    sheet = _Sheet(reference.times)
+    sheet = Sheet(reference.times)
     scene = build_scene(reference.bodies)
     qpos = scene.qpos(reference.root, reference.rotations)
     asked = penetration.overlap(scene, qpos)
@@ -194,88 +123,8 @@ def score_motion(motion: DuetMotion, gate: Gate | None = None) -> Report:
     return _report("kinematic", sheet.metrics, KINEMATIC_TERMS, gate, info, motion.duration)
 
 
-class _Sheet:
-    """Collects metrics that share one clock."""
-
-    def __init__(self, times: NDArray) -> None:
-        self.times = times
-        self.metrics: list[Metric] = []
-
-    def people(
-        self,
-        what: tuple[str, Subject, str, str],
-        series: NDArray,
-        *,
-        summary: Summary = "mean",
-        threshold: float | None = None,
-    ) -> None:
-        """Add a metric per person from ``series [N, 2]``."""
-        for p, person in enumerate(_PEOPLE):
-            self._add(what, person, series[:, p], summary, threshold)
-
-    def both(
-        self,
-        what: tuple[str, Subject, str, str],
-        series: NDArray,
-        *,
-        summary: Summary = "mean",
-        threshold: float | None = None,
-    ) -> None:
-        """Add a metric of the pair from ``series [N]``."""
-        self._add(what, "both", series, summary, threshold)
-
-    def _add(
-        self,
-        what: tuple[str, Subject, str, str],
-        person: Literal["a", "b", "both"],
-        series: NDArray,
-        summary: Summary,
-        threshold: float | None,
-    ) -> None:
-        name, of, unit, definition = what
-        values = np.asarray(series, dtype=float)
-        least = summary == "min"
-        worst = int(np.argmin(values) if least else np.argmax(values))
-        value = {
-            "mean": np.mean,
-            "max": np.max,
-            "min": np.min,
-            "p95": lambda x: np.percentile(x, 95),
-        }[summary](values)
-        self.metrics.append(
-            Metric(
-                name=name,
-                of=of,
-                person=person,
-                value=float(value),
-                unit=unit,
-                definition=definition,
-                threshold=threshold,
-                sense="min" if least else "max",
-                worst_time=round(float(self.times[worst]), 4),
-            )
-        )
-
-    def fall(self, rollout: Rollout) -> None:
-        """Add whether each person fell."""
-        for person in _PEOPLE:
-            time = rollout.fall_time[person]
-            self.metrics.append(
-                Metric(
-                    name="fell",
-                    of="simulated",
-                    person=person,
-                    value=float(time is not None),
-                    unit="",
-                    definition="1 if keypoints were ever more than 0.5 m off on average",
-                    threshold=0.0,
-                    worst_time=time,
-                )
-            )
-
-
 def _assist(
-    sheet: _Sheet, rollout: Rollout, bodies: tuple[HumanBody, HumanBody], gate: Gate
+    sheet: Sheet, rollout: Rollout, bodies: tuple[HumanBody, HumanBody], gate: Gate
 ) -> None:
     """Add how much the helping hand and the muscles had to give."""
     force = effort.force_share(rollout.assist, bodies) * 100
@@ -298,7 +147,7 @@ def _assist(
     )
 
 
-def _contacts(sheet: _Sheet, rollout: Rollout, bodies: tuple[HumanBody, HumanBody]) -> None:
+def _contacts(sheet: Sheet, rollout: Rollout, bodies: tuple[HumanBody, HumanBody]) -> None:
     """Add the share of intended touches that happened, if any were intended."""
     skeletons = (bodies[0].skeleton, bodies[1].skeleton)
     wanted, met = contact.wanted_and_met(
@@ -322,7 +171,7 @@ def _contacts(sheet: _Sheet, rollout: Rollout, bodies: tuple[HumanBody, HumanBod
 
 
 def _overlap(
-    sheet: _Sheet,
+    sheet: Sheet,
     of: Subject,
     found: penetration.Overlap,
     between: float | None,
@@ -355,7 +204,7 @@ def _overlap(
 
 
 def _feet(
-    sheet: _Sheet, of: Subject, scene: Scene, qpos: NDArray, keypoints: NDArray, rate: float
+    sheet: Sheet, of: Subject, scene: Scene, qpos: NDArray, keypoints: NDArray, rate: float
 ) -> None:
     """Add how feet slide."""
     skeleton = scene.bodies[0].skeleton
@@ -377,9 +226,9 @@ def _feet(
     sheet.people(("slide_speed", of, "m/s", "mean speed of soles on the floor"), speed)
 
 
-def _shift(sheet: _Sheet, shifts: Sequence[float]) -> None:
+def _shift(sheet: Sheet, shifts: Sequence[float]) -> None:
     """Add how far each person was moved up or down to stand on the floor."""
-    for person, shift in zip(_PEOPLE, shifts, strict=True):
+    for person, shift in zip(PEOPLE, shifts, strict=True):
         sheet.metrics.append(
             Metric(
                 name="ground_shift",
@@ -393,7 +242,7 @@ def _shift(sheet: _Sheet, shifts: Sequence[float]) -> None:
 
 
 def _body(
-    sheet: _Sheet,
+    sheet: Sheet,
     keypoints: NDArray,
     bodies: tuple[HumanBody, HumanBody],
     rate: float,

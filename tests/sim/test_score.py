@@ -11,7 +11,8 @@ from robots.errors import MotionFileError, SimDiverged
 from robots.skeleton import human_skeleton
 from sim.metrics import contact, ground, smoothness, tracking
 from sim.report import Metric, Report
-from sim.score import Gate, score, score_motion, tolerance
+from sim.gate import Gate
+from sim.score import score, score_motion, tolerance
 from sim.track import track
 
 
