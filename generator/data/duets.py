@@ -9,7 +9,6 @@ from generator.io import MOTION_SCHEMA, read_motion
 from robots.errors import MotionFileError
 from robots.files import read_archive
 
-
 _OURS = "pasdedeux."
 _MOTIONS = MOTION_SCHEMA.split("/")[0] + "/"
 
