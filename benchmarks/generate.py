@@ -4,9 +4,9 @@
 
 The baseline is the same mathematics with the same weights, computed as the release does it:
 ``nn.MultiheadAttention``, float32, torch's defaults, both persons one after the other, time and
-text embedded anew in every step. One guided step of it is timed and multiplied by its 50 steps; all else
-is timed as it runs. Weights are random: what fewer digits and fewer steps cost in quality has to be
-measured on a trained model, not here.
+text embedded anew in every step. One guided step of it is timed and multiplied by its 50 steps; all
+else is timed as it runs. Weights are random: what fewer digits and fewer steps cost in quality has
+to be measured on a trained model, not here.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 
 import torch
 from torch import Tensor, nn
@@ -125,55 +126,52 @@ def make_model(config: DenoiserConfig) -> InterGen:
     return model.eval()
 
 
-def seconds(function: Callable[[], object], repeats: int) -> float:
-    """Return the shortest of some runs, after one that does not count."""
-    function()
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        function()
-        times.append(time.perf_counter() - start)
-    return min(times)
-
-
 @torch.no_grad()
-def time_baseline(model: InterGen, x: Tensor, cond: Tensor, repeats: int) -> tuple[Tensor, float]:
-    """Return what one guided step at t = 0 gives the release's way, and its seconds."""
+def compare(model: InterGen, frames: int, rounds: int) -> None:
+    """Print time and error per guided step of every precision, and of a whole clip.
+
+    The contenders take turns, and the shortest run of each counts, so that what else the machine
+    does meanwhile falls on all of them.
+    """
+    cond = torch.randn(1, model.config.text_width, generator=torch.manual_seed(1))
+    x = torch.randn(1, frames, 2 * model.config.features, generator=torch.manual_seed(2))
     both, t = torch.cat([cond, torch.zeros_like(cond)]), torch.tensor([0, 0])
     baseline = Baseline(model.denoiser).eval()
 
-    def step() -> Tensor:
+    def released() -> Tensor:
         with_text, without = baseline(x.repeat(2, 1, 1), t, both).chunk(2)
         return without + 3.5 * (with_text - without)
 
-    return step(), seconds(step, repeats)
-
-
-def compare(model: InterGen, frames: int, repeats: int) -> None:
-    """Print time and error per guided step of every precision, and of whole clips."""
-    cond = torch.randn(1, model.config.text_width, generator=torch.manual_seed(1))
-    x = torch.randn(1, frames, 2 * model.config.features, generator=torch.manual_seed(2))
-    exact, base = time_baseline(model, x, cond, repeats)
+    steps: dict[str, Callable[..., Tensor]] = {"released": released}
+    for name in PRECISIONS:
+        steps[name] = partial(prepared(model, name).sample, cond, frames, x_T=x, steps=1)
+    outputs = {name: step() for name, step in steps.items()}
+    times = dict.fromkeys(steps, float("inf"))
+    for _ in range(rounds):
+        for name, step in steps.items():
+            times[name] = min(times[name], timed(step))
+    exact, base = outputs["released"], times["released"]
     largest = float(exact.abs().max())
     print(f"one guided step, {frames} frames, {model.config.width} wide, numbers to {largest:.0f}")
-    print(f"  the release's way        {base:7.3f} s")
-    for precision in PRECISIONS:
-        fast = prepared(model, precision)
-        error = float((fast.sample(cond, frames, steps=1, x_T=x) - exact).abs().max())
-        clips = []
-        for _ in range(repeats):
-            start = time.perf_counter()
-            fast.sample(cond, frames, steps=FEW, solver="dpm2m", spacing="trailing", seed=0)
-            clips.append(time.perf_counter() - start)
-        clip = min(clips)
+    for name, output in outputs.items():
+        error = float((output - exact).abs().max())
         print(
-            f"  {precision:12s}             {clip / FEW:7.3f} s   x{FEW * base / clip:5.2f}"
-            f"   largest error {error:.1e}, {error / largest:.1e} of the largest number"
+            f"  {name:10s} {times[name]:7.3f} s   x{base / times[name]:5.2f}"
+            f"   error {error:.1e}, {error / largest:.1e} of the largest number"
         )
-        print(
-            f"    whole clip, {FEW} steps:   {clip:7.2f} s   x{50 * base / clip:5.1f}"
-            f"   of the release's 50 steps, {50 * base:.0f} s"
-        )
+    clip = partial(steps["bfloat16"], steps=FEW, solver="dpm2m", spacing="trailing")
+    whole = timed(clip)
+    print(
+        f"a whole clip, bfloat16, {FEW} steps: {whole:.2f} s, x{50 * base / whole:.1f}"
+        f" of 50 steps the release's way ({50 * base:.0f} s)"
+    )
+
+
+def timed(function: Callable[[], object]) -> float:
+    """Return the seconds that one call takes."""
+    start = time.perf_counter()
+    function()
+    return time.perf_counter() - start
 
 
 @torch.no_grad()
@@ -185,10 +183,11 @@ def contended(model: InterGen, frames: int) -> None:
     def run() -> Tensor:
         return fast.sample(cond, frames, steps=3, seed=0)
 
-    alone = seconds(run, 3)
+    run()
+    alone = min(timed(run) for _ in range(3))
     busy = subprocess.Popen([sys.executable, "-c", "while True: pass"])
     try:
-        together = seconds(run, 3)
+        together = min(timed(run) for _ in range(3))
     finally:
         busy.kill()
         busy.wait()
@@ -209,7 +208,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=default_threads())
     parser.add_argument("--frames", type=int, default=300)
     parser.add_argument("--width", type=int, default=1024)
-    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--rounds", type=int, default=4)
     parser.add_argument("--peak", choices=PRECISIONS, help=argparse.SUPPRESS)
     options = parser.parse_args()
     config = DenoiserConfig(width=options.width, feedforward=2 * options.width)
@@ -220,7 +219,7 @@ def main() -> None:
         print(f"torch {torch.__version__}, {options.threads} thread(s),", end=" ")
         print("'medium' is float32" if medium_is_float32() else "'medium' is bfloat16 (AMX)")
         model = make_model(config)
-        compare(model, options.frames, options.repeats)
+        compare(model, options.frames, options.rounds)
         contended(model, options.frames)
         del model
     for precision in PRECISIONS:

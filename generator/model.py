@@ -266,7 +266,8 @@ class InterGen(nn.Module):
             PromptError: The sentence is empty.
             CheckpointError: The model has no text encoder, or no statistics.
         """
-        from generator.features import decode
+        from generator.canonical import from_canonical
+        from generator.features import POSITIONS, decode
 
         if not text.strip():
             raise PromptError("the sentence is empty")
@@ -279,8 +280,9 @@ class InterGen(nn.Module):
         drawn = self.sample(self.encode_text([text]), frames, seed=seed, **sampling)
         raw = self.denormalise(drawn[0]).unflatten(-1, (2, self.config.features))
         features = raw.cpu().numpy().astype(np.float64)
-        if smoothing:
-            features[..., :66] = smooth(features[..., :66], smoothing)
+        if self.config.representation == "canonical":
+            features = from_canonical(features)
+        features[..., POSITIONS] = smooth(features[..., POSITIONS], smoothing)
         return decode(
             features,
             self.provenance.fps,

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from generator.architecture import DenoiserConfig
+from generator.canonical import to_canonical
 from generator.diffusion import SamplerConfig, timesteps
 from generator.features import encode
 from generator.guidance import Guided
@@ -179,6 +180,20 @@ def test_a_sentence_becomes_a_duet_with_its_provenance(make_duet):
     rough = model.generate("two people bow", 12, seed=4, steps=3, smoothing=0)
     jerk = [np.abs(np.diff(d.keypoints, n=2, axis=0)).mean() for d in (duet, rough)]
     assert jerk[0] < jerk[1]
+
+
+def test_a_canonical_model_makes_a_duet_too(make_duet):
+    features = to_canonical(encode(make_duet(frames=20))).reshape(-1, 267)
+    config = DenoiserConfig(
+        width=16, layers=1, heads=2, feedforward=32, features=267, text_width=5,
+        representation="canonical",
+    )  # fmt: skip
+    model = InterGen(
+        config, mean=features.mean(0), std=features.std(0) + 1e-3, text=LengthEncoder()
+    )
+    duet = model.generate("two people bow", 12, steps=2)
+    assert duet.frames == 12
+    assert np.linalg.norm(duet.a.keypoints - duet.b.keypoints, axis=-1).mean() > 0.1
 
 
 def test_a_model_without_statistics_refuses_to_speak_of_metres():
