@@ -110,11 +110,10 @@ class Painter:
         """Open an offscreen canvas of ``width`` by ``height`` pixels for a ``mujoco.MjModel``."""
         self._model = model
         self._data = mujoco.MjData(model)
-        renderer = getattr(mujoco, "Renderer", None)
-        if renderer is None:
-            raise RenderError("no offscreen OpenGL was found", hint=_NO_GL)
         try:
-            self._renderer = renderer(model, height=height, width=width)
+            self._renderer = mujoco.Renderer(model, height=height, width=width)
+        except AttributeError as error:  # MuJoCo was imported without a backend
+            raise RenderError("there is no offscreen OpenGL", hint=_NO_GL) from error
         except Exception as error:  # each backend fails in its own way
             raise RenderError(f"OpenGL does not start: {error}", hint=_NO_GL) from error
         self._camera = mujoco.MjvCamera()

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import av
@@ -124,3 +127,21 @@ def test_clip_changes_rate_without_losing_its_ends(clip: Clip) -> None:
 
 def test_still_camera_has_one_moment() -> None:
     assert still().centre.shape == (1, 3)
+
+
+def test_without_opengl_the_reason_is_one_line_and_names_the_remedy() -> None:
+    code = (
+        "import mujoco\n"
+        "from robots.errors import RenderError\n"
+        "from sim.render import Painter\n"
+        "model = mujoco.MjModel.from_xml_string('<mujoco/>')\n"
+        "try: Painter(model, width=8, height=8)\n"
+        "except RenderError as error: print(error)\n"
+    )
+    env = os.environ | {"MUJOCO_GL": "disable"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False
+    )
+    assert done.stdout.startswith("there is no offscreen OpenGL; install")
+    assert done.stdout.count("\n") == 1
+    assert "Traceback" not in done.stderr
