@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from generator.motion import Contact, DuetMotion
 from robots.errors import MotionFileError, SimDiverged
 from robots.skeleton import human_skeleton
+from sim.gate import Gate
 from sim.metrics import contact, ground, smoothness, tracking
 from sim.report import Metric, Report
-from sim.gate import Gate
 from sim.score import score, score_motion, tolerance
 from sim.track import track
 
