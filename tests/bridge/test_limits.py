@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bridge.limits import TOLERANCE, require_within_limits, speeds
+from bridge.plan import SLACK, Part
 from bridge.trajectory import JointTrajectory
 from robots.errors import LimitViolation
 from robots.registry import load_robot
@@ -31,9 +31,9 @@ def made(times: np.ndarray, position: np.ndarray) -> JointTrajectory:
 
 def test_standing_at_rest_and_at_every_limit_is_allowed() -> None:
     times, position = still()
-    require_within_limits(made(times, position), robot())
+    Part.of(made(times, position), robot())
     for ends in (robot().lower, robot().upper):
-        require_within_limits(made(times, np.tile(ends, (5, 1))), robot())
+        Part.of(made(times, np.tile(ends, (5, 1))), robot())
 
 
 @given(st.integers(0, 10), st.integers(0, 4), st.sampled_from([-1, 1]), st.floats(1e-4, 3))
@@ -45,17 +45,17 @@ def test_a_joint_beyond_its_range_is_named_with_time_and_range(
     joint = robot().joints[column]
     position[row, column] = (joint.upper if side > 0 else joint.lower) + side * by
     with pytest.raises(LimitViolation) as caught:
-        require_within_limits(made(times, position), robot())
+        Part.of(made(times, position), robot())
     text = str(caught.value)
-    assert f"marionette.{joint.name}" in text
+    assert f"marionette: {joint.name}" in text
     assert f"{times[row]:.3f} s" in text
-    assert f"{joint.lower:.3f} to {joint.upper:.3f} rad" in text
+    assert f"{joint.lower:.4f} to {joint.upper:.4f} rad" in text
 
 
 def test_rounding_is_no_violation() -> None:
     times, _ = still()
-    position = np.tile(robot().upper + 0.5 * TOLERANCE, (5, 1))
-    require_within_limits(made(times, position), robot())
+    position = np.tile(robot().upper + 0.5 * SLACK, (5, 1))
+    Part.of(made(times, position), robot())
 
 
 @given(st.floats(0.2, 3))
@@ -68,15 +68,31 @@ def test_speed_is_allowed_up_to_the_no_load_speed(share: float) -> None:
     column = robot().joint_names.index("waist")
     position[1:, column] += 0.5
     times = np.concatenate([[0], 0.5 / (joint.max_velocity * share) + np.arange(4)])
-    assert speeds(times, position)[0, column] == pytest.approx(share * joint.max_velocity)
     if share < 1:
-        require_within_limits(made(times, position), robot())
+        Part.of(made(times, position), robot())
     else:
-        with pytest.raises(LimitViolation, match=r"marionette\.waist.*rad/s"):
-            require_within_limits(made(times, position), robot())
+        with pytest.raises(LimitViolation, match=r"marionette: waist.*rad/s"):
+            Part.of(made(times, position), robot())
 
 
-def test_another_robots_joints_are_refused() -> None:
+def test_playing_faster_counts_against_the_speed() -> None:
     times, position = still()
-    with pytest.raises(LimitViolation, match="not those of op3"):
-        require_within_limits(made(times, position), load_robot("op3"))
+    joint = robot().joint("waist")
+    position[1:, robot().joint_names.index("waist")] += 0.5
+    times = np.concatenate([[0], 0.5 / (0.6 * joint.max_velocity) + np.arange(4)])
+    Part.of(made(times, position), robot(), speed=1.6)
+    with pytest.raises(LimitViolation, match=r"marionette: waist.*rad/s"):
+        Part.of(made(times, position), robot(), speed=1.7)
+
+
+def test_joints_are_matched_by_name() -> None:
+    times, position = still()
+    names = robot().joint_names[::-1]
+    part = Part.of(JointTrajectory(times, position[:, ::-1], names, "marionette"), robot())
+    np.testing.assert_array_equal(part.trajectory.position, position)
+
+
+def test_another_robots_trajectory_is_refused() -> None:
+    times, position = still()
+    with pytest.raises(LimitViolation, match="is for 'marionette'"):
+        Part.of(made(times, position), load_robot("op3"))
