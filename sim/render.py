@@ -7,6 +7,8 @@ MuJoCo's defaults on meshes, so that ten seconds of duet draw in seconds on two 
 from __future__ import annotations
 
 import logging
+import os
+import sys
 from collections.abc import Iterator
 from typing import Any
 
@@ -110,6 +112,7 @@ class Painter:
         """Open an offscreen canvas of ``width`` by ``height`` pixels for a ``mujoco.MjModel``."""
         self._model = model
         self._data = mujoco.MjData(model)
+        _require_backend()
         try:
             self._renderer = mujoco.Renderer(model, height=height, width=width)
         except AttributeError as error:  # MuJoCo was imported without a backend
@@ -146,6 +149,23 @@ class Painter:
         """Yield the pictures of poses ``[N, nq]``."""
         for index in range(len(qpos)):
             yield self.paint(qpos[index], camera, index)
+
+
+def _require_backend() -> None:
+    """Refuse to draw where MuJoCo would abort the whole process instead of raising.
+
+    Its default on Linux, GLFW, needs a screen; without one its renderer ends in ``abort()``.
+
+    Raises:
+        RenderError: MuJoCo was imported with that default and there is no screen.
+    """
+    backend = getattr(getattr(mujoco, "GLContext", None), "__module__", "")
+    screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if sys.platform.startswith("linux") and backend == "mujoco.glfw" and not screen:
+        raise RenderError(
+            "MuJoCo was imported for a screen, and there is none",
+            hint="set MUJOCO_GL=egl, or call sim.gl.choose_backend() before importing mujoco",
+        )
 
 
 def body_points(model: Any, qpos: NDArray, prefix: str) -> FloatArray:

@@ -6,6 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from sim.gl import choose_backend
+
+choose_backend()  # before any test module imports mujoco
+
 
 @pytest.fixture(scope="session")
 def duets() -> Path:

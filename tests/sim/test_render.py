@@ -8,20 +8,15 @@ import sys
 from pathlib import Path
 
 import av
+import mujoco
 import numpy as np
 import pytest
 
 from robots.errors import MotionFileError, RenderError
-from sim.gl import choose_backend
-
-choose_backend()
-
-import mujoco  # noqa: E402 - the choice of OpenGL comes before MuJoCo's import
-
-from sim.camera import follow, still  # noqa: E402
-from sim.clip import Clip  # noqa: E402
-from sim.render import PERSON_COLOURS, Painter, colour_people, dress  # noqa: E402
-from sim.video import write_picture, write_video  # noqa: E402
+from sim.camera import follow, still
+from sim.clip import Clip
+from sim.render import PERSON_COLOURS, Painter, colour_people, dress
+from sim.video import write_picture, write_video
 
 PILLARS = """<mujoco><worldbody><geom name="floor" type="plane" size="9 9 .1"/>
   <body name="a/trunk" pos="-.6 0 .8"><freejoint/><geom type="capsule" size=".15 .6"/></body>
@@ -145,3 +140,23 @@ def test_without_opengl_the_reason_is_one_line_and_names_the_remedy() -> None:
     assert done.stdout.startswith("there is no offscreen OpenGL; install")
     assert done.stdout.count("\n") == 1
     assert "Traceback" not in done.stderr
+
+
+def test_a_screen_backend_without_a_screen_is_an_error_and_no_abort() -> None:
+    """MuJoCo's default renderer took the whole process down when it was imported before ours."""
+    code = (
+        "import mujoco\n"
+        "from robots.errors import RenderError\n"
+        "from sim.render import Painter\n"
+        "model = mujoco.MjModel.from_xml_string('<mujoco/>')\n"
+        "try: Painter(model, width=8, height=8)\n"
+        "except RenderError as error: print(error)\n"
+    )
+    env = {name: value for name, value in os.environ.items() if "DISPLAY" not in name}
+    env["MUJOCO_GL"] = "glfw"
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    if sys.platform.startswith("linux"):
+        assert "there is none" in done.stdout
