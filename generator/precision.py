@@ -4,8 +4,9 @@
 takes for float32 by default is not the fastest one; one call changes it
 (``torch.set_float32_matmul_precision("medium")``, about 1.9 times as fast on AMD). But that call
 *permits* bfloat16, and a CPU with matrix tiles (AMX) makes use of the permission: results are then
-off by a fraction of a percent. Such CPUs multiply bfloat16 eight times as fast as float32 though,
-so there the float32 product is put together from bfloat16 ones (:class:`SplitLinear`).
+off by a fraction of a percent. Such CPUs multiply bfloat16 up to ten times as fast, so there the
+fast way is to ask for it, and to know what it costs. (Putting a float32 product together from four
+bfloat16 ones was tried there: right to five digits, but on a busy machine slower.)
 
 What a machine does is found out by trying, once: the choice depends on the machine, never on the
 moment, so that the same seed stays the same motion.
@@ -20,7 +21,6 @@ from functools import cache
 from typing import TYPE_CHECKING, Literal
 
 import torch
-from torch import Tensor, nn
 from torch.nn import functional
 
 from robots.errors import SpecError
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from generator.model import InterGen
 
 Precision = Literal["float32", "fast", "bfloat16"]
-"""``float32``: torch's default. ``fast``: the same to five digits, however this machine does that
-best. ``bfloat16``: three digits, half the memory."""
+"""``float32``: torch's default. ``fast``: the same to five digits, by the fastest library that this
+machine has for it. ``bfloat16``: two digits, half the memory."""
 
 PRECISIONS: tuple[Precision, ...] = ("float32", "fast", "bfloat16")
 SAME = 1e-5
@@ -46,49 +46,6 @@ def matmul_precision(name: Literal["highest", "high", "medium"]) -> Iterator[Non
         yield
     finally:
         torch.set_float32_matmul_precision(before)
-
-
-class SplitLinear(nn.Module):
-    """A float32 linear made of bfloat16 products.
-
-    Every number is the sum of two bfloat16 ones, ``x = x1 + x2``, to 16 of its 24 bits; the product
-    needs ``x1 w1 + x2 w1 + x1 w2``. Products accumulate in float32 but *come out* rounded to
-    bfloat16, so they are taken in two steps, the second of which starts from minus the first one's
-    rounded result and thus yields what rounding lost:
-
-        y1 = round(x1 w1)        y2 = round(x1 w1 - y1 + x2 w1 + x1 w2)        y = y1 + y2
-
-    y2 is a 500th of y, and rounded to a 500th of itself: five digits are right. Four bfloat16
-    products take less time than one in float32 where they run on matrix tiles. The two halves of
-    the weights take as much memory as the weights did.
-    """
-
-    halves: Tensor
-    bias: Tensor
-
-    def __init__(self, linear: nn.Linear) -> None:
-        """Split the weights of a linear."""
-        super().__init__()
-        weight = linear.weight.detach()
-        high = weight.bfloat16()
-        self.inputs = linear.in_features
-        self.register_buffer("halves", torch.cat([high, (weight - high).bfloat16()], dim=1))
-        self.register_buffer("bias", linear.bias.detach())
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Return ``x W' + b`` in float32; no gradient."""
-        rows = x.reshape(-1, self.inputs)
-        split = rows.new_empty((len(rows), 2 * self.inputs), dtype=torch.bfloat16)
-        low, high = split.chunk(2, dim=1)
-        high.copy_(rows)
-        low.copy_(rows - high.float())
-        weight = self.halves[:, : self.inputs]
-        coarse = functional.linear(high, weight)
-        rest = torch.addmm(coarse, high, weight.T, beta=-1)
-        rest = torch.addmm(rest, split, self.halves.T)
-        # converted first: a sum of mixed types takes torch three times as long
-        y = coarse.float().add_(rest.float()).add_(self.bias)
-        return y.reshape(*x.shape[:-1], -1)
 
 
 @cache
@@ -114,34 +71,8 @@ def prepared(model: InterGen, precision: Precision) -> InterGen:
         raise SpecError(f"precision {precision!r}", allowed=" or ".join(PRECISIONS))
     result = copy.copy(model)
     result._modules = dict(model._modules)
-    if precision == "fast":
-        if medium_is_float32():
-            result.matmul = "medium"
-        else:
-            result.denoiser = copy.deepcopy(model.denoiser, _shared(model.denoiser))
-            _split(result.denoiser)
+    if precision == "fast" and medium_is_float32():
+        result.matmul = "medium"
     elif precision == "bfloat16":
         result.denoiser = copy.deepcopy(model.denoiser).bfloat16()
-    return result.eval()
-
-
-def _shared(module: nn.Module) -> dict[int, object]:
-    """Return a memo with which ``deepcopy`` copies modules but not their weights."""
-    tensors = [*module.parameters(), *module.buffers()]
-    return {id(tensor): tensor for tensor in tensors}
-
-
-def _split(module: nn.Module) -> None:
-    """Replace the linears that are large and see every frame."""
-    for name, child in list(module.named_children()):
-        if isinstance(child, nn.Linear) and min(child.weight.shape) >= _SMALLEST:
-            if name not in _ONCE:
-                setattr(module, name, SplitLinear(child))
-        elif name not in _ONCE:
-            _split(child)
-
-
-_ONCE = ("modulation", "embed_text", "embed_time")
-"""Linears that are computed once for all frames."""
-_SMALLEST = 64
-"""Width from which splitting pays."""
+    return result

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import pytest
 import torch
-from torch import nn
 
 from generator.architecture import DenoiserConfig
 from generator.model import InterGen
 from generator.precision import (
     PRECISIONS,
-    SplitLinear,
     matmul_precision,
     medium_is_float32,
     prepared,
@@ -34,23 +32,6 @@ def drawn(model: InterGen) -> torch.Tensor:
     return model.sample(torch.ones(1, 5), 20, steps=4, seed=0)
 
 
-@torch.no_grad()
-@pytest.mark.parametrize("bias", [0.0, 300.0])
-def test_a_split_linear_is_right_to_five_digits(bias: float):
-    torch.manual_seed(0)
-    linear = nn.Linear(192, 96)
-    linear.bias += bias
-    x = torch.randn(3, 50, 192) * torch.logspace(-3, 3, 50)[:, None]
-    exact = x.double() @ linear.weight.double().T + linear.bias.double()
-    split = SplitLinear(linear)(x)
-    assert split.shape == exact.shape
-    assert split.dtype == torch.float32
-    scale = (x.double().norm(dim=-1) * linear.weight.double().norm(dim=1).max() + bias)[..., None]
-    assert ((split - exact).abs() / scale).max() < 1e-5
-    coarse = nn.functional.linear(x.bfloat16(), linear.weight.bfloat16()).float() + linear.bias
-    assert ((coarse - exact).abs() / scale).max() > 1e-4
-
-
 def test_fast_is_the_same_and_bfloat16_is_near(model: InterGen):
     exact = drawn(model)
     fast, coarse = drawn(prepared(model, "fast")), drawn(prepared(model, "bfloat16"))
@@ -60,16 +41,19 @@ def test_fast_is_the_same_and_bfloat16_is_near(model: InterGen):
     assert coarse.dtype == torch.float32
 
 
-def test_split_products_take_over_where_medium_is_not_float32(model: InterGen, monkeypatch):
-    monkeypatch.setattr("generator.precision.medium_is_float32", lambda: False)
+def test_fast_uses_medium_products_only_where_they_are_float32(model: InterGen, monkeypatch):
+    for exact, expected in ((True, "medium"), (False, "highest")):
+        monkeypatch.setattr("generator.precision.medium_is_float32", lambda exact=exact: exact)
+        assert prepared(model, "fast").matmul == expected
+    assert model.matmul == "highest"
+    seen = []
     fast = prepared(model, "fast")
-    kinds = [type(module) for module in fast.denoiser.modules()]
-    assert kinds.count(SplitLinear) == 2 * 7 + 2
-    assert fast.matmul == "highest"
-    exact = drawn(model)
-    assert float((drawn(fast) - exact).abs().max()) < 2e-4 * float(exact.abs().max())
-    monkeypatch.setattr("generator.precision.medium_is_float32", lambda: True)
-    assert prepared(model, "fast").matmul == "medium"
+    fast.matmul = "medium"
+    fast.sample(
+        torch.ones(1, 5), 4, steps=1, seed=0,
+        constrain=lambda x, _: (seen.append(torch.get_float32_matmul_precision()), x)[1],
+    )  # fmt: skip
+    assert seen == ["medium"]
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
