@@ -64,8 +64,8 @@ class PolishCosts:
     rest: float = 0.02
     inertia: float = 0.08
     """Time constant of the low-pass that acceleration costs amount to, s."""
-    damping: float = 0.03
-    """On each step, per rad."""
+    damping: float = 0.15
+    """On each step, per rad: stretched limbs, whose joints hardly count, would swing about."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
