@@ -19,6 +19,7 @@ from robots.files import write_json
 
 if TYPE_CHECKING:
     from bridge.telemetry import Performance
+    from generator.intergen import IntergenRequest
     from sim.report import Report
 
 Stage = Callable[[str], AbstractContextManager[Progress]]
@@ -40,6 +41,8 @@ class RunSettings:
     """Of the generator."""
     generator: str = GENERATORS[0]
     """Who turns sentences into motion."""
+    intergen: IntergenRequest | None = None
+    """Which model, and what is given, if that is InterGen."""
     nearest: bool = False
     """Take the nearest interaction for a sentence outside the repertoire."""
     controller: str = "assist"
@@ -101,8 +104,8 @@ def run(settings: RunSettings, *, stage: Stage, say: Callable[[str], None]) -> R
             yield progress
         seconds[name] = round(time.perf_counter() - started, 3)
 
-    with timed("generate"):
-        motion = _motion(settings)
+    with timed("generate") as progress:
+        motion = _motion(settings, progress)
     with timed("track") as progress:
         rollout = stages.track(
             out / stages.MOTION,
@@ -166,7 +169,7 @@ def run(settings: RunSettings, *, stage: Stage, say: Callable[[str], None]) -> R
     return RunResult(summary, code)
 
 
-def _motion(settings: RunSettings) -> dict[str, Any]:
+def _motion(settings: RunSettings, progress: Progress) -> dict[str, Any]:
     target = settings.out / stages.MOTION
     if settings.from_file:
         return stages.import_motion(Path(settings.source), target, settings.request)
@@ -176,6 +179,8 @@ def _motion(settings: RunSettings) -> dict[str, Any]:
         seed=settings.seed,
         nearest_known=settings.nearest,
         generator=settings.generator,
+        intergen=settings.intergen,
+        progress=progress,
     )
 
 

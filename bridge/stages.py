@@ -17,18 +17,19 @@ from generator.motion import DuetMotion
 from robots.errors import GateRefused, SpecError, nearest
 from robots.files import read_archive, write_json
 
-if TYPE_CHECKING:  # physics and hardware are loaded by the stages that need them
+if TYPE_CHECKING:  # physics, hardware and networks are loaded by the stages that need them
     from bridge.player import Verdict
     from bridge.player_settings import PlayerSettings
     from bridge.telemetry import Performance
     from bridge.trajectory import JointTrajectory
+    from generator.intergen import IntergenRequest
     from robots.spec import RobotSpec
     from sim.report import Report
     from sim.rollout import Rollout
 
 Progress = Callable[[float], None]
 
-GENERATORS = ("choreographer",)
+GENERATORS = ("choreographer", "intergen")
 ROLLOUT_SCHEMA = "pasdedeux.rollout/1"
 MOTION = "motion.npz"
 ROLLOUT = "rollout.npz"
@@ -69,11 +70,23 @@ def generate(
     seed: int = 0,
     nearest_known: bool = False,
     generator: str = GENERATORS[0],
+    intergen: IntergenRequest | None = None,
+    progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Write ``motion.npz`` for a sentence; return what was understood.
 
+    Args:
+        text: The sentence.
+        out: File to write.
+        seed: Same seed, same machine: same motion.
+        nearest_known: The choreographer takes the nearest interaction it knows.
+        generator: Who turns sentences into motion.
+        intergen: Which model, and what is given of the motion, for ``intergen``.
+        progress: Told the share done.
+
     Raises:
         PromptError: The sentence is outside the repertoire and ``nearest_known`` is off.
+        CheckpointError: The model is missing or damaged.
     """
     if generator not in GENERATORS:
         raise SpecError(
@@ -81,8 +94,16 @@ def generate(
             allowed=", ".join(GENERATORS),
             hint=nearest(generator, GENERATORS),
         )
-    from generator.choreographer.from_text import generate as choreograph
     from generator.io import write_motion
+
+    if generator == "intergen":
+        from generator.intergen import IntergenRequest
+        from generator.intergen import generate as draw
+
+        drawn, facts = draw(text, intergen or IntergenRequest(), seed=seed, progress=progress)
+        write_motion(drawn, out)
+        return {"text": text, "generator": generator, **facts, **describe(drawn)}
+    from generator.choreographer.from_text import generate as choreograph
 
     motion, understood = choreograph(text, seed=seed, nearest=nearest_known)
     write_motion(motion, out)

@@ -105,7 +105,7 @@ def given_person(motion: DuetMotion, person: Person, fps: float) -> Given:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Path:
+class Track:
     """Where the pelvis of a person is above the ground over time.
 
     Raises:
@@ -144,60 +144,59 @@ class Path:
         return float(self.times[-1] - self.times[0])
 
 
-def path_of(motion: DuetMotion, person: Person) -> Path:
+def track_of(motion: DuetMotion, person: Person) -> Track:
     """Return the path and the first facing of a person of a motion."""
     points = motion.people[PEOPLE.index(person)].keypoints
     skeleton = motion.a.skeleton
     across = points[0, skeleton.index("left_hip")] - points[0, skeleton.index("right_hip")]
     facing = float(np.arctan2(-across[0], across[1]))
     times = np.arange(len(points)) / motion.fps
-    return Path(times, points[:, 0, :2], facing)
+    return Track(times, points[:, 0, :2], facing)
 
 
-def given_paths(paths: tuple[Path | None, Path | None], frames: int, fps: float) -> Given:
+def given_tracks(tracks: tuple[Track | None, Track | None], frames: int, fps: float) -> Given:
     """Return what is known if the paths of one or both people are given.
 
     Raises:
         MotionError: No path is given, or there are fewer than two frames.
     """
-    if paths == (None, None) or frames < 2:
+    if tracks == (None, None) or frames < 2:
         raise MotionError("trajectory control needs a path and two frames or more")
-    lead = 0 if paths[0] is not None else 1
-    tracks = [None if path is None else path.at(frames, fps) for path in paths]
-    placement = _path_placement(paths, tracks, lead, fps)
-    values, known = (np.zeros((frames, 2, FEATURES)) for _ in range(2))
-    for at, track in enumerate(tracks):
-        if track is None:
+    points = [None if track is None else track.at(frames, fps) for track in tracks]
+    placement = _track_placement(tracks, points, fps)
+    values, known = np.zeros((frames, 2, FEATURES)), np.zeros((frames, 2, FEATURES), bool)
+    for at, line in enumerate(points):
+        if line is None:
             continue
         # z-up (x, y) is y-up (z, x): the permutation of generator.features.
-        world = np.stack([track[:, 1], np.zeros(frames), track[:, 0]], axis=-1)
+        world = np.stack([line[:, 1], np.zeros(frames), line[:, 0]], axis=-1)
         ground = placement.apply(world)[:, ::2]
         steps = np.diff(ground, axis=0, append=ground[-1:])
         values[:, at, TRAJECTORY] = np.concatenate([ground, steps], axis=1)
         known[:, at, TRAJECTORY] = True
-    return Given(
-        values, known.astype(bool), placement, (paths[0] is not None, paths[1] is not None)
-    )
+    return Given(values, known, placement, (tracks[0] is not None, tracks[1] is not None))
 
 
-def _path_placement(
-    paths: tuple[Path | None, Path | None],
-    tracks: Sequence[FloatArray | None],
-    lead: int,
-    fps: float,
+def _track_placement(
+    tracks: tuple[Track | None, Track | None], points: Sequence[FloatArray | None], fps: float
 ) -> Placement:
-    """Return the frame of the leading person: as stated, else where it goes, else to the other."""
-    track, path, other = tracks[lead], paths[lead], tracks[1 - lead]
-    if track is None or path is None:
-        raise MotionError("the leading person has no path")
-    facing = path.facing
+    """Return the frame of the leading person, a if it has a path.
+
+    It faces where its track says; else where the path leads; else, if that leads nowhere, towards
+    the other person.
+    """
+    lead = 0 if tracks[0] is not None else 1
+    track, line, other = tracks[lead], points[lead], points[1 - lead]
+    if track is None or line is None:
+        raise MotionError("there is no path")
+    facing = track.facing
     if facing is None:
-        ahead = track[min(len(track) - 1, max(1, round(_FACING_SECONDS * fps)))] - track[0]
+        ahead = line[min(len(line) - 1, max(1, round(_FACING_SECONDS * fps)))] - line[0]
         if np.hypot(*ahead) < _STANDING and other is not None:
-            ahead = other[0] - track[0]
+            ahead = other[0] - line[0]
         facing = float(np.arctan2(ahead[1], ahead[0])) if np.hypot(*ahead) > 1e-6 else 0.0
     # Facing +x of the z-up world is +z of the y-up one; the turn takes it there.
-    x, y = track[0]
+    x, y = line[0]
     return Placement(-facing, (float(y), 0.0, float(x)))
 
 

@@ -7,7 +7,13 @@ from pathlib import Path
 
 from bridge import stages
 from bridge.cli.console import Console
-from bridge.cli.options import add_generator, add_seed, in_folder
+from bridge.cli.options import (
+    add_generator,
+    add_intergen,
+    add_seed,
+    in_folder,
+    intergen_request,
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -18,18 +24,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_seed(parser)
     add_generator(parser)
+    add_intergen(parser)
 
 
 def execute(args: argparse.Namespace, console: Console) -> int:
     """Generate and say what was understood."""
     out = in_folder(args.out, stages.MOTION)
-    with console.stage("generate"):
+    request = intergen_request(args)
+    with console.stage("generate") as progress:
         facts = stages.generate(
-            args.text, out, seed=args.seed, nearest_known=args.nearest, generator=args.generator
+            args.text,
+            out,
+            seed=args.seed,
+            nearest_known=args.nearest,
+            generator=args.generator,
+            intergen=request,
+            progress=progress,
         )
-    console.show(
-        f"{out}: {facts['interaction']} ({facts['confidence']:.0%} sure),"
-        f" {facts['frames']} frames at {facts['fps']:g} Hz"
-    )
+    if request is None:
+        how = f"{facts['interaction']} ({facts['confidence']:.0%} sure)"
+    else:
+        how = f"{facts['model']}, {facts['steps']} steps"
+    console.show(f"{out}: {how}, {facts['frames']} frames at {facts['fps']:g} Hz")
     console.result({"file": str(out), **facts})
     return 0

@@ -29,6 +29,8 @@ VERBS = {
     "view": "look at a motion, rollout or trajectories in the browser",
     "export": "motion, rollout or trajectories to BVH, CSV, NPZ, MP4, PNG or HTML",
     "robots": "list, show and check the servo robots",
+    "train": "configuration and clips to a model that turns sentences into motion",
+    "evaluate": "model to a table of figures against real motions, those first",
     "doctor": "check this machine: packages, OpenGL, serial ports",
 }
 """Verb to one line of help; each verb is a module of this package, loaded when it is called."""

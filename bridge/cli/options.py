@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from bridge.stages import GENERATORS, MotionRequest
+
+if TYPE_CHECKING:
+    from generator.intergen import IntergenRequest
 
 DEFAULT_ROBOT = "op3"
 
@@ -25,6 +29,66 @@ def add_generator(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="for a sentence outside the repertoire, take the nearest interaction",
     )
+
+
+def add_intergen(parser: argparse.ArgumentParser) -> None:
+    """Add what ``--generator intergen`` takes."""
+    group = parser.add_argument_group("for --generator intergen")
+    group.add_argument("--weights", default="", metavar="DIR", help="a model, or a .ckpt file")
+    length = group.add_mutually_exclusive_group()
+    length.add_argument("--frames", type=int, help="length in frames")
+    length.add_argument("--seconds", type=float, help="length in seconds (default 7)")
+    group.add_argument("--steps", type=int, default=50, help="sampling steps (default 50)")
+    group.add_argument("--solver", choices=("auto", "ddim", "dpm2m"), default="auto")
+    group.add_argument("--guidance", type=float, default=3.5, help="weight of the text (3.5)")
+    group.add_argument("--precision", choices=("float32", "fast", "bfloat16"), default="fast")
+    group.add_argument("--threads", type=int, help="of the processor (default: all cores but one)")
+    group.add_argument("--given", default="", metavar="FILE", help="keep one person of this motion")
+    group.add_argument("--given-person", choices=("a", "b"), default="a", help="which (default a)")
+    for person in ("a", "b"):
+        group.add_argument(
+            f"--path-{person}",
+            default="",
+            metavar="CSV",
+            help=f"where {person} goes: lines of time s, x m, y m; or a motion file",
+        )
+    for edge, verb in (("start", "begins"), ("end", "ends")):
+        group.add_argument(
+            f"--{edge}",
+            default="",
+            metavar="FILE[@S:S]",
+            help=f"the motion {verb} with this one, or with a part of it (seconds)",
+        )
+    group.add_argument(
+        "--then",
+        action="append",
+        default=[],
+        metavar="TEXT",
+        help="one more round between start and end, from the motion so far; can be repeated",
+    )
+    group.add_argument(
+        "--strength", type=float, default=0.7, help="how much a round changes, 0 to 1 (0.7)"
+    )
+
+
+_INTERGEN = (
+    "weights", "frames", "seconds", "steps", "solver", "guidance", "precision", "given",
+    "given_person", "path_a", "path_b", "start", "end", "strength",
+)  # fmt: skip
+
+
+def intergen_request(args: argparse.Namespace) -> IntergenRequest | None:
+    """Return what :func:`add_intergen` parsed; ``None`` for another generator.
+
+    Raises:
+        SpecError: Settings exclude each other, or are out of range.
+    """
+    if args.generator != "intergen":
+        return None
+    from generator.intergen import IntergenRequest
+
+    values = {name: getattr(args, name) for name in _INTERGEN}
+    return IntergenRequest(**values, threads=args.threads, then=tuple(args.then))
 
 
 def add_motion_request(parser: argparse.ArgumentParser) -> None:

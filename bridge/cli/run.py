@@ -10,9 +10,11 @@ from bridge.cli.console import Console
 from bridge.cli.options import (
     add_assist,
     add_generator,
+    add_intergen,
     add_motion_request,
     add_robots,
     add_seed,
+    intergen_request,
     motion_request,
     robot_pair,
 )
@@ -25,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--out", type=Path, help="folder (default: out/ and the sentence)")
     add_seed(parser)
     add_generator(parser)
+    add_intergen(parser)
     add_assist(parser)
     add_robots(parser)
     parser.add_argument(
@@ -44,6 +47,7 @@ def execute(args: argparse.Namespace, console: Console) -> int:
         out=args.out or stages.default_folder(args.source),
         seed=args.seed,
         generator=args.generator,
+        intergen=intergen_request(args),
         nearest=args.nearest,
         controller=args.controller,
         assist=args.assist,
