@@ -17,6 +17,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, console: Console) -> int:
     """List, or show and check."""
+    from bridge.retarget.build import measure
+    from bridge.retarget.stage import build_stage
     from robots.registry import load_robot, robot_names
 
     if args.robot is None:
@@ -37,6 +39,8 @@ def execute(args: argparse.Namespace, console: Console) -> int:
         console.result({"robots": [r.name for r in found]})
         return 0
     robot = load_robot(args.robot)
+    stage = build_stage((robot, robot))  # refuses a model that does not fit its data
+    build = measure(stage, stage.actors[0])
     console.table(
         f"{robot.name} ({robot.base} base)",
         ["joint", "id", "servo", "lower °", "upper °", "rest °", "speed rad/s"],
@@ -55,6 +59,8 @@ def execute(args: argparse.Namespace, console: Console) -> int:
     )
     for bus in robot.buses.values():
         console.show(f"bus {bus.name}: {bus.port} at {bus.baud} baud, protocol {bus.protocol:g}")
+    legs = f", legs of {build.leg_length:.3f} m" if build.leg else ""
+    console.show(f"checked: two fit on one stage; arms of {build.arm_length:.3f} m{legs}")
     console.result(
         {
             "name": robot.name,
