@@ -110,7 +110,6 @@ def generate(
     return {
         "text": text,
         "generator": generator,
-        "interaction": motion.interaction,
         "confidence": round(float(understood.confidence), 4),
         **describe(motion),
     }
@@ -353,6 +352,7 @@ def default_folder(source: str) -> Path:
 def describe(motion: DuetMotion) -> dict[str, Any]:
     """Return the plain facts of a motion as JSON."""
     return {
+        "interaction": motion.interaction,
         "frames": motion.frames,
         "fps": motion.fps,
         "seconds": round(motion.duration, 3),
