@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bridge.cli.console import Console
@@ -34,7 +35,8 @@ def show_report(console: Console, report: Report) -> None:
 def show_summary(console: Console, summary: dict[str, Any]) -> None:
     """Print a run's summary, one line per stage."""
     rows = [[stage, *line] for stage, line in _lines(summary)]
-    console.table(summary["motion"]["text"] or "a duet", ["", "how it went", "s"], rows)
+    title = summary["motion"]["text"] or Path(summary["settings"]["source"]).stem
+    console.table(title, ["", "how it went", "s"], rows)
 
 
 def _lines(summary: dict[str, Any]) -> list[tuple[str, tuple[str, str]]]:
@@ -46,7 +48,10 @@ def _lines(summary: dict[str, Any]) -> list[tuple[str, tuple[str, str]]]:
         what += f", {motion['confidence']:.0%} sure"
     off = tracking["mpjpe_global_mm"]
     lines = [
-        ("generated", f"{what}; {motion['seconds']:.1f} s, {len(motion['contacts'])} touches"),
+        (
+            "generated",
+            f"{what}; {motion['seconds']:.1f} s, {len(motion['contacts'])} touches labelled",
+        ),
         (
             "tracked",
             f"{off['a']:.0f} / {off['b']:.0f} mm off (a / b), {_fallen(tracking['fell'])}, helped"
