@@ -191,9 +191,9 @@ class Keep:
         """Prepare the given numbers, normalised."""
         self._model = model
         mean = model.mean
-        flat = torch.as_tensor(given.values, dtype=mean.dtype, device=mean.device).flatten(1)
+        flat = torch.tensor(given.values, dtype=mean.dtype, device=mean.device).flatten(1)
         self._values = model.normalise(flat)[None]
-        self._known = torch.as_tensor(given.known, device=mean.device).flatten(1)[None]
+        self._known = torch.tensor(given.known, device=mean.device).flatten(1)[None]
         self._paths = given.paths
 
     def put(self, x: Tensor) -> Tensor:

@@ -21,7 +21,7 @@ _DERIVED = {
 }
 """What follows from other settings: the representation, the text encoder, the diffusion."""
 
-_ADJUSTABLE = ("name", "checkpoint", "log")
+_ADJUSTABLE = {"name", "checkpoint", "log"}
 """Tables that may change between two parts of one run."""
 
 
@@ -279,11 +279,16 @@ class RunConfig:
         return self.training.warmup_epochs * steps_per_epoch
 
     def tables(self) -> dict[str, Any]:
-        """Return everything as plain tables, as a TOML file would have them."""
+        """Return everything as plain tables, as a TOML file would have them.
+
+        What follows from other settings is left out, and so is what is not set.
+        """
         tables = asdict(self)
         for name, derived in _DERIVED.items():
             for key in derived:
                 del tables[name][key]
+        training = tables["training"]
+        tables["training"] = {k: v for k, v in training.items() if v is not None}
         return tables
 
     def toml(self) -> str:
@@ -321,13 +326,12 @@ def changed_keys(old: RunConfig, new: RunConfig) -> list[str]:
     """Return the settings in which two runs differ, except those that may change on the way."""
     before, after = old.tables(), new.tables()
     changed = []
-    for table, values in before.items():
-        if table in _ADJUSTABLE:
-            continue
-        for key, value in values.items():
-            if after[table][key] != value and (table, key) not in _HARMLESS:
+    for table in before.keys() - _ADJUSTABLE:
+        for key in before[table].keys() | after[table].keys():
+            same = before[table].get(key) == after[table].get(key)
+            if not same and (table, key) not in _HARMLESS:
                 changed.append(f"{table}.{key}")
-    return changed
+    return sorted(changed)
 
 
 _HARMLESS = {("data", "cache"), ("data", "workers")}

@@ -90,7 +90,7 @@ def _value(kind: Any, value: Any, where: str) -> Any:
             )
         return value
     if origin is tuple:
-        if not isinstance(value, list):
+        if not isinstance(value, (list, tuple)):
             raise SpecError(f"is {_name(value)}", where=where, allowed="a list")
         if parts[1:] != (Ellipsis,) and len(value) != len(parts):
             raise SpecError(f"{len(value)} entries", where=where, allowed=str(len(parts)))
@@ -112,7 +112,7 @@ def _name(value: Any) -> str:
 
 
 def write_toml(tables: Mapping[str, Any]) -> str:
-    """Return the TOML text of plain values, tables and lists of tables; ``None`` is left out."""
+    """Return the TOML text of plain values, tables and lists of tables."""
     lines: list[str] = []
     _write_table(lines, "", tables)
     return "\n".join(lines).lstrip("\n") + "\n"
@@ -126,7 +126,7 @@ def _write_table(lines: list[str], path: str, table: Mapping[str, Any]) -> None:
         )
         if nested:
             deeper[key] = value
-        elif value is not None:
+        else:
             lines.append(f"{key} = {_literal(value)}")
     for key, value in deeper.items():
         name = f"{path}.{key}" if path else key

@@ -257,7 +257,7 @@ def _require_same_run(header: dict[str, object], run: RunConfig, state: Path) ->
         step = header["step"]
         if not isinstance(config, dict) or not isinstance(step, int) or step < 0:
             raise ValueError("no configuration or step")
-        old = parse(_without_nothing(config))
+        old = parse(config)
     except (DuetError, KeyError, ValueError) as error:
         raise CheckpointError(f"the header is wrong: {error}", where=str(state)) from error
     changed = changed_keys(old, run)
@@ -267,15 +267,6 @@ def _require_same_run(header: dict[str, object], run: RunConfig, state: Path) ->
             where=str(state),
             hint="resume with the run's own config.toml, or choose another folder with -o",
         )
-
-
-def _without_nothing(tables: dict) -> dict:
-    """Return tables without the settings that are ``None``, as TOML would have them."""
-    return {
-        key: _without_nothing(value) if isinstance(value, dict) else value
-        for key, value in tables.items()
-        if value is not None
-    }
 
 
 class _Numbered(Dataset[Batch]):

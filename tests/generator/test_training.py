@@ -1,0 +1,418 @@
+"""Learning: steps, resuming, freezing, several processes' shares."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from generator import checkpoint
+from generator.data import BatchConfig, BatchStream, DuetFolder
+from generator.given import TRAJECTORY
+from generator.io import write_motion
+from generator.training.config import RunConfig, TrainingConfig, load_config, parse
+from generator.training.draws import draw
+from generator.training.freezing import frozen
+from generator.training.learner import Learner, TrainingDiverged
+from generator.training.prepare import prepare
+from generator.training.processes import Processes
+from generator.training.record import read_record
+from generator.training.train import LOG, STATE, Watch, train
+from generator.weights import load_weights
+from robots.errors import CheckpointError, SpecError
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+TINY = {"width": 16, "layers": 1, "heads": 2, "feedforward": 16, "dropout": 0.1}
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, make_duet: Any) -> Path:
+    """Three short duets, each with a sentence of its own, and room for their cache."""
+    root = tmp_path_factory.mktemp("clips")
+    for seed, text in enumerate(("two people wave", "they bow left", "a hug")):
+        duet = replace(make_duet(frames=20, seed=seed), text=text)
+        write_motion(duet, root / "duets" / f"{seed}.npz")
+    return root
+
+
+def small(folder: Path, **tables: dict[str, Any]) -> RunConfig:
+    """A run of a few steps on the three duets."""
+    data = {
+        "cache": str(folder / "cache"),
+        "frames": 16,
+        "source": [{"kind": "duets", "root": str(folder / "duets")}],
+    }
+    plain: dict[str, Any] = {
+        "name": "small",
+        "model": TINY,
+        "data": data,
+        "training": {"batch": 4, "steps": 6, "warmup_steps": 2, "learning_rate": 1e-3},
+        "log": {"steps": 2, "tensorboard": False},
+    }
+    for name, table in tables.items():
+        plain[name] = {**plain.get(name, {}), **table}
+    return parse(plain)
+
+
+def state_of(out: Path) -> dict[str, torch.Tensor]:
+    return load_weights(out / STATE)[1]
+
+
+def stop_after(steps: int) -> Watch:
+    """A watcher that asks to stop after so many steps."""
+    asked = []
+
+    def stop() -> bool:
+        asked.append(None)
+        return len(asked) >= steps
+
+    return Watch(stop=stop)
+
+
+def test_a_run_leaves_a_model_that_loads_and_samples(folder: Path, tmp_path: Path) -> None:
+    outcome = train(small(folder), tmp_path)
+    assert outcome.finished
+    assert outcome.steps == 6
+    model = checkpoint.load(tmp_path)
+    assert model.provenance.training["steps"] == 6
+    assert model.has_statistics
+    assert model.generate("two people wave", 8, steps=2).frames == 8
+    assert load_config(tmp_path / "config.toml") == small(folder)
+
+
+def test_the_loss_falls(folder: Path, tmp_path: Path) -> None:
+    run = small(folder, training={"steps": 80, "learning_rate": 1e-2}, model={"dropout": 0.0})
+    train(run, tmp_path)
+    losses = [entry["simple"] for entry in read_record(tmp_path / LOG)]
+    assert np.mean(losses[-8:]) < 0.7 * np.mean(losses[:8])
+
+
+def test_a_resumed_run_ends_with_the_same_bits(folder: Path, tmp_path: Path) -> None:
+    run = small(folder)
+    train(run, tmp_path / "whole")
+    first = train(run, tmp_path / "parts", watch=stop_after(3))
+    assert (first.steps, first.finished) == (3, False)
+    # Whatever other code draws in between must not matter.
+    torch.manual_seed(12345)
+    second = train(run, tmp_path / "parts", resume=True)
+    assert (second.resumed_from, second.steps) == (3, 6)
+    whole, parts = state_of(tmp_path / "whole"), state_of(tmp_path / "parts")
+    assert whole.keys() == parts.keys()
+    for name, value in whole.items():
+        assert torch.equal(value, parts[name]), name
+
+
+def test_the_log_goes_on_where_the_state_is(folder: Path, tmp_path: Path) -> None:
+    run = small(folder, training={"steps": 8}, checkpoint={"steps": 2})
+    train(run, tmp_path, watch=stop_after(4))
+    with open(tmp_path / LOG, "a", encoding="utf-8") as file:
+        file.write(json.dumps({"step": 6, "total": 9.0}) + '\n{"step": 7, "tot')
+    train(run, tmp_path, resume=True)
+    entries = read_record(tmp_path / LOG)
+    assert [entry["step"] for entry in entries] == [2, 4, 6, 8]
+    assert all(entry["total"] < 9 for entry in entries)
+
+
+def test_a_folder_with_a_run_is_not_overwritten(folder: Path, tmp_path: Path) -> None:
+    train(small(folder), tmp_path, watch=stop_after(1))
+    with pytest.raises(CheckpointError, match="--resume"):
+        train(small(folder), tmp_path)
+
+
+def test_resuming_with_other_settings_names_them(folder: Path, tmp_path: Path) -> None:
+    train(small(folder), tmp_path, watch=stop_after(1))
+    other = small(folder, training={"learning_rate": 2e-3})
+    with pytest.raises(CheckpointError, match=r"training\.learning_rate"):
+        train(other, tmp_path, resume=True)
+
+
+def test_resuming_without_a_state_begins(folder: Path, tmp_path: Path) -> None:
+    outcome = train(small(folder), tmp_path, resume=True)
+    assert (outcome.resumed_from, outcome.finished) == (0, True)
+
+
+def test_a_damaged_state_is_refused(folder: Path, tmp_path: Path) -> None:
+    train(small(folder), tmp_path, watch=stop_after(1))
+    (weights,) = (tmp_path / STATE).glob("weights-*")
+    data = bytearray(weights.read_bytes())
+    data[-1] ^= 1
+    weights.write_bytes(data)
+    with pytest.raises(CheckpointError, match="damaged"):
+        train(small(folder), tmp_path, resume=True)
+
+
+def learner_of(run: RunConfig, out: Path, processes: Processes | None = None) -> Learner:
+    prepared = prepare(run, out, processes or Processes())
+    assert run.training.steps is not None
+    return Learner(
+        run,
+        prepared.model,
+        prepared.texts,
+        total=run.training.steps,
+        warmup=run.warmup_steps(1),
+        processes=processes or Processes(),
+    )
+
+
+def test_a_state_without_one_of_its_tensors_is_refused(folder: Path, tmp_path: Path) -> None:
+    run = small(folder)
+    learner = learner_of(run, tmp_path)
+    learner.step(0, prepare(run, tmp_path, Processes()).stream.batch(0))
+    state = learner.tensors()
+    key = "optimizer.exp_avg.networks.0.out.weight"
+    with pytest.raises(CheckpointError, match=key):
+        learner.restore({k: v for k, v in state.items() if k != key}, where="x")
+    with pytest.raises(CheckpointError, match="shape"):
+        learner.restore({**state, key: torch.zeros(1)}, where="x")
+    with pytest.raises(CheckpointError, match="stranger"):
+        learner.restore({**state, "stranger": torch.zeros(1)}, where="x")
+
+
+def test_a_gradient_that_is_not_finite_ends_the_run(folder: Path, tmp_path: Path) -> None:
+    run = small(folder)
+    learner = learner_of(run, tmp_path)
+    batch = prepare(run, tmp_path, Processes()).stream.batch(0)
+    broken = replace(batch, x_raw=np.full_like(batch.x_raw, np.nan))
+    with pytest.raises(TrainingDiverged, match="learning_rate"):
+        learner.step(0, broken)
+
+
+def test_two_halves_of_a_batch_have_the_gradient_of_the_whole(folder: Path, tmp_path: Path) -> None:
+    """What DistributedDataParallel averages: the mean over processes is the whole batch's."""
+    run = small(folder, model={"dropout": 0.0})
+    gradients = {}
+    for world in (1, 2):
+        total: dict[str, torch.Tensor] = {}
+        for rank in range(world):
+            learner = learner_of(run, tmp_path)
+            learner._processes = Processes(rank, world)
+            with torch.no_grad():
+                for value in learner._names.values():
+                    value.add_(0.01)  # weights that are zero at first would hide what is behind
+            batch = prepare(run, tmp_path, Processes()).stream.batch(5, rank=rank, world=world)
+            shape = batch.x_raw.shape
+            first = 5 * 4 + rank * len(batch)
+            draws = draw(run.training, first, batch.lengths.tolist(), shape[1], shape[2])
+            learner._losses(batch, draws, torch.device("cpu"))["total"].backward()
+            for name, value in learner._names.items():
+                assert value.grad is not None
+                total[name] = total.get(name, 0) + value.grad / world
+        gradients[world] = total
+    for name, value in gradients[1].items():
+        torch.testing.assert_close(gradients[2][name], value, rtol=1e-4, atol=1e-6)
+
+
+def test_what_is_drawn_does_not_depend_on_how_a_batch_is_divided() -> None:
+    config = TrainingConfig(seed=3, freeze="mixed")
+    whole = draw(config, 40, [9, 5, 12, 7], 12, 524)
+    parts = [draw(config, 40, [9, 5], 9, 524), draw(config, 42, [12, 7], 12, 524)]
+    assert torch.equal(whole.noise[:2, :9], parts[0].noise)
+    assert torch.equal(whole.noise[2:], parts[1].noise)
+    assert torch.equal(whole.t, torch.cat([part.t for part in parts]))
+    assert torch.equal(whole.keep_text, torch.cat([part.keep_text for part in parts]))
+    assert whole.frozen is not None
+    assert parts[1].frozen is not None
+    assert torch.equal(whole.frozen[2:], parts[1].frozen)
+
+
+def test_draws_are_standard_noise_uniform_steps_and_a_tenth_without_text() -> None:
+    config = TrainingConfig(unconditional=0.1)
+    draws = draw(config, 0, [1] * 4000, 1, 8)
+    assert abs(float(draws.noise.mean())) < 0.02
+    assert float(draws.noise.std()) == pytest.approx(1, abs=0.02)
+    assert (int(draws.t.min()), int(draws.t.max())) == (0, 999)
+    assert float(draws.t.float().mean()) == pytest.approx(499.5, abs=15)
+    assert float(draws.keep_text.mean()) == pytest.approx(0.9, abs=0.02)
+    assert draws.frozen is None
+
+
+def test_each_way_of_freezing_gives_away_what_it_says() -> None:
+    rng = np.random.default_rng(0)
+    seen = set()
+    for _ in range(60):
+        person = frozen("person", 1.0, 12, 9, rng).reshape(12, 2, 262)
+        assert not person[9:].any()
+        assert sorted(person[:9].all(axis=(0, 2))) == [False, True]
+        path = frozen("trajectory", 1.0, 12, 9, rng).reshape(12, 2, 262)
+        seen.add(tuple(path[0].any(axis=1).tolist()))
+        rows, columns = path[:9].any(axis=(0, 1)), path.any(axis=(0, 2))
+        assert np.flatnonzero(rows).tolist() == list(TRAJECTORY)
+        assert columns.any()
+        ends = frozen("ends", 1.0, 12, 9, rng).reshape(12, -1)
+        assert (ends.all(axis=1) == ends.any(axis=1)).all()
+        free = np.flatnonzero(~ends[:9, 0])
+        assert 0 < len(free) < 9
+        assert (np.diff(free) == 1).all()
+    assert seen == {(True, False), (False, True), (True, True)}
+    assert not any(frozen("mixed", 0.0, 4, 4, rng).any() for _ in range(20))
+
+
+def test_frozen_numbers_reach_the_network_without_noise(folder: Path, tmp_path: Path) -> None:
+    run = small(folder, training={"freeze": "person", "freeze_share": 1.0})
+    learner = learner_of(run, tmp_path)
+    batch = prepare(run, tmp_path, Processes()).stream.batch(0)
+    shape = batch.x_raw.shape
+    draws = draw(run.training, 0, batch.lengths.tolist(), shape[1], shape[2])
+    seen = []
+    network = learner.model.denoiser.forward
+    learner._network = lambda x, *rest: seen.append(x) or network(x, *rest)  # type: ignore[assignment]
+    learner._losses(batch, draws, torch.device("cpu"))
+    clean = learner.model.normalise(torch.from_numpy(batch.x_raw))
+    known = draws.frozen
+    assert known is not None
+    torch.testing.assert_close(seen[0][known], clean[known], rtol=0, atol=0)
+    far = (seen[0] - clean)[~known].abs().median()
+    assert float(far) > 0.1
+
+
+def test_fine_tuning_starts_from_a_model_and_marks_what_it_learnt(
+    folder: Path, tmp_path: Path
+) -> None:
+    train(small(folder), tmp_path / "first")
+    tuned = small(
+        folder,
+        training={"initial": str(tmp_path / "first"), "freeze": "mixed", "learning_rate": 1e-9},
+        text={"encoder": "initial"},
+    )
+    train(tuned, tmp_path / "second")
+    first, second = (checkpoint.load(tmp_path / name) for name in ("first", "second"))
+    assert second.provenance.training["freeze"] == "mixed"
+    assert torch.equal(first.mean, second.mean)
+    for a, b in zip(first.parameters(), second.parameters(), strict=True):
+        torch.testing.assert_close(a, b, rtol=0, atol=1e-6)
+    wrong = small(folder, training={"initial": str(tmp_path / "first")}, model={"width": 32})
+    with pytest.raises(SpecError, match="width 16"):
+        train(wrong, tmp_path / "third")
+
+
+def test_the_average_follows_the_weights_with_its_decay(folder: Path, tmp_path: Path) -> None:
+    learner = learner_of(small(folder, training={"ema": 0.5, "steps": 40}), tmp_path)
+    batch = prepare(small(folder), tmp_path, Processes()).stream.batch(0)
+    name = "networks.0.out.bias"
+    for step in (0, 30):
+        before = learner.average[name].clone()
+        learner.step(step, batch)
+        decay = 0.1 if step == 0 else 0.5
+        expected = decay * before + (1 - decay) * learner._names[name].detach()
+        torch.testing.assert_close(learner.average[name], expected)
+    used = learner.averaged().denoiser.state_dict()[name]
+    assert torch.equal(used, learner.average[name])
+
+
+def test_the_learning_rate_warms_up_and_falls(folder: Path, tmp_path: Path) -> None:
+    learner = learner_of(small(folder, training={"steps": 100, "warmup_steps": 10}), tmp_path)
+    rates = [learner.learning_rate(step) for step in range(100)]
+    assert rates[0] == pytest.approx(1e-4, rel=0.01)
+    assert int(np.argmax(rates)) == 9
+    assert rates[-1] < 1e-6
+
+
+def test_bfloat16_learns_what_float32_learns(folder: Path, tmp_path: Path) -> None:
+    ends = {}
+    for precision in ("float32", "bfloat16"):
+        run = small(folder, training={"precision": precision, "steps": 40}, model={"dropout": 0.0})
+        out = tmp_path / precision
+        ends[precision] = train(run, out).losses["simple"]
+        assert all(value.dtype == torch.float32 for value in state_of(out).values())
+    assert ends["bfloat16"] == pytest.approx(ends["float32"], rel=0.1)
+    assert ends["bfloat16"] != ends["float32"]
+
+
+def test_worker_processes_change_nothing(folder: Path, tmp_path: Path) -> None:
+    train(small(folder), tmp_path / "none")
+    train(small(folder, data={"workers": 2}), tmp_path / "two")
+    none, two = state_of(tmp_path / "none"), state_of(tmp_path / "two")
+    assert all(torch.equal(value, two[name]) for name, value in none.items())
+
+
+def test_curves_go_to_tensorboard_where_it_is_installed(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import sys
+    import types
+
+    written = []
+
+    class Writer:
+        def __init__(self, folder: str, purge_step: int) -> None:
+            written.append((Path(folder).name, purge_step))
+
+        def add_scalar(self, name: str, value: float, step: int) -> None:
+            written.append((name, step))
+
+        def close(self) -> None:
+            written.append("closed")
+
+    module = types.ModuleType("torch.utils.tensorboard")
+    module.SummaryWriter = Writer  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", module)
+    train(small(folder, log={"tensorboard": True}), tmp_path)
+    assert written[0] == ("tensorboard", 1)
+    assert ("total", 6) in written
+    assert written[-1] == "closed"
+
+
+def shrunk(name: str, folder: Path, steps: int) -> RunConfig:
+    """A shipped configuration at a size that a test can afford, on the three duets."""
+    run = load_config(CONFIGS / name)
+    tables = run.tables()
+    tables["model"] |= TINY
+    tables["text"] = {}
+    tables["data"] |= {
+        "cache": str(folder / "cache"),
+        "frames": 16,
+        "source": [{"kind": "duets", "root": str(folder / "duets")}],
+    }
+    training = {"batch": 2, "steps": steps, "warmup_steps": 1, "initial": ""}
+    tables["training"] |= training
+    del tables["training"]["warmup_epochs"]
+    tables["log"] = {"tensorboard": False}
+    return parse(tables)
+
+
+NAMES = sorted(str(path.relative_to(CONFIGS)) for path in CONFIGS.rglob("*.toml"))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_shipped_configuration_takes_steps(name: str, folder: Path, tmp_path: Path) -> None:
+    run = shrunk(name, folder, steps=2)
+    outcome = train(run, tmp_path)
+    assert outcome.finished
+    losses = outcome.losses
+    assert np.isfinite(losses["total"])
+    objective = run.objective
+    t = draw(run.training, 0, [1] * 2 * run.training.batch, 1, 2).t
+    regular = objective.regularisation * bool((t <= objective.last_regularised_step).any())
+    for term in ("distance_map", "relative_orientation", "bone_length"):
+        assert (losses[term] > 0) == (regular * getattr(objective, term) > 0), term
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_every_shipped_configuration_takes_twenty_steps(
+    name: str, folder: Path, tmp_path: Path
+) -> None:
+    outcome = train(shrunk(name, folder, steps=20), tmp_path)
+    assert outcome.steps == 20
+    assert np.isfinite(outcome.losses["total"])
+    assert checkpoint.load(tmp_path).config.representation in ("canonical", "non_canonical")
+
+
+def test_a_source_of_duets_is_cached_once(folder: Path, tmp_path: Path) -> None:
+    run = small(folder)
+    prepare(run, tmp_path, Processes())
+    before = sorted(path.stat().st_mtime_ns for path in (folder / "cache").rglob("*"))
+    prepare(run, tmp_path, Processes())
+    assert sorted(path.stat().st_mtime_ns for path in (folder / "cache").rglob("*")) == before
+    stream = BatchStream(DuetFolder(folder / "duets"), BatchConfig(size=2, frames=16))
+    assert prepare(run, tmp_path, Processes()).stream.epoch == stream.epoch
