@@ -242,7 +242,7 @@ def test_each_way_of_freezing_gives_away_what_it_says() -> None:
     for _ in range(60):
         person = frozen("person", 1.0, 12, 9, rng).reshape(12, 2, 262)
         assert not person[9:].any()
-        assert sorted(person[:9].all(axis=(0, 2))) == [False, True]
+        assert int(np.sum(person[:9].all(axis=(0, 2)))) == 1
         path = frozen("trajectory", 1.0, 12, 9, rng).reshape(12, 2, 262)
         seen.add(tuple(path[0].any(axis=1).tolist()))
         rows, columns = path[:9].any(axis=(0, 1)), path.any(axis=(0, 2))
