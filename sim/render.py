@@ -49,6 +49,7 @@ def dress(spec: Any, *, width: int, height: int, floor_tile: float = 0.5) -> Any
     scale = getattr(spec.visual, "global_", None) or getattr(spec.visual, "global")
     scale.offwidth, scale.offheight = max(width, 1), max(height, 1)
     spec.visual.quality.offsamples = 0  # smooth edges would take three times as long
+    spec.visual.quality.numslices, spec.visual.quality.numstacks = 18, 10
     spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
     spec.visual.headlight.diffuse = [0.35, 0.35, 0.35]
     spec.visual.headlight.specular = [0.05, 0.05, 0.05]
