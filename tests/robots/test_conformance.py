@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from robots.conformance import RULES, check_robot
 from robots.registry import load_robot
@@ -267,3 +270,22 @@ def test_the_command_reports_and_fails(tmp_path: Path, capsys: pytest.CaptureFix
     assert main(["robots", str(tmp_path), "--json"]) == 1
     (finding,) = json.loads(capsys.readouterr().out)["findings"]
     assert finding["rule"] == "symmetry"
+
+
+@settings(max_examples=60, deadline=None)
+@given(name=st.sampled_from(["op3", "marionette"]), data=st.data())
+def test_a_model_with_a_part_torn_out_never_ends_in_another_error(
+    name: str, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
+):
+    folder = load_robot(name).folder
+    tree = ElementTree.parse(folder / XML)
+    parents = {child: parent for parent in tree.iter() for child in parent}
+    victim = data.draw(st.sampled_from(list(parents)))
+    place = tmp_path_factory.mktemp("torn")
+    parents[victim].remove(victim)
+    tree.write(place / XML)
+    (place / TOML).write_bytes((folder / TOML).read_bytes())
+    findings = check_robot(load_robot(place))
+    assert {finding.rule for finding in findings} <= {"compiles", *RULES}
+    if victim.tag == "joint" and "range" in victim.attrib:
+        assert findings

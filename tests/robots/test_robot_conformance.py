@@ -171,3 +171,71 @@ def test_a_folder_that_is_moved_still_loads(robot: RobotSpec, tmp_path: Path):
     moved = load_robot(tmp_path)
     assert moved.joints == robot.joints
     assert load_mjspec(moved).compile().nq == load_mjspec(robot).compile().nq
+
+
+def test_the_op3_has_the_measures_of_the_real_one():
+    """Against what its maker publishes: op3_description, op3_kinematics_dynamics, OP3.robot."""
+    robot = load_robot("op3")
+    model = load_mjspec(robot).compile()
+    data = posed(robot, model, np.zeros(len(robot.joints)))
+    at = {name: landmark_position(robot, model, data, name) for name in robot.landmarks}
+
+    def apart(one: str, other: str) -> float:
+        return float(np.linalg.norm(at[one] - at[other]))
+
+    assert (model.nq, model.nv, model.nu) == (27, 26, 20)
+    assert model.body_subtreemass[0] == pytest.approx(3.15, abs=0.01)
+    assert apart("left_shoulder", "right_shoulder") == pytest.approx(0.177, abs=1e-3)
+    assert apart("left_hip", "right_hip") == pytest.approx(0.108, abs=1e-3)
+    for side in ("left", "right"):
+        assert apart(f"{side}_shoulder", f"{side}_elbow") == pytest.approx(0.0904, abs=1e-4)
+        assert apart(f"{side}_elbow", f"{side}_hand") == pytest.approx(0.150, abs=1e-3)
+        assert apart(f"{side}_hip", f"{side}_knee") == pytest.approx(0.110, abs=1e-4)
+        assert apart(f"{side}_knee", f"{side}_ankle") == pytest.approx(0.110, abs=1e-4)
+    sides = ("sho_pitch", "sho_roll", "el", "hip_yaw", "hip_roll", "hip_pitch", "knee")
+    sides += ("ank_pitch", "ank_roll")
+    in_order = [f"{side}_{part}" for part in sides for side in "rl"] + ["head_pan", "head_tilt"]
+    assert [(j.servo.id, j.name) for j in robot.joints] == list(enumerate(in_order, start=1))
+    share = {"r_sho_roll": (-0.5, 0.3), "l_sho_roll": (-0.3, 0.5), "r_knee": (-0.7, 0.1)}
+    share |= {"l_knee": (-0.1, 0.7)}
+    by_part = {"hip_yaw": 0.45, "hip_roll": 0.3, "hip_pitch": 0.4, "ank_pitch": 0.45}
+    by_part |= {"ank_roll": 0.45, "sho_pitch": 0.5, "el": 0.5, "head_pan": 0.5, "head_tilt": 0.5}
+    for joint in robot.joints:
+        part = joint.name.removeprefix("r_").removeprefix("l_")
+        low, high = share.get(joint.name) or (-by_part[part], by_part[part])
+        assert (joint.lower, joint.upper) == pytest.approx((low * np.pi, high * np.pi)), joint.name
+
+
+# joint, its angle, a landmark, and the direction in which the angle moves it from the zero pose
+MOVES = [
+    ("op3", {"r_sho_roll": -np.pi / 2}, "right_hand", (0, 0, -1)),
+    ("op3", {"l_sho_roll": np.pi / 2}, "left_hand", (0, 0, -1)),
+    ("op3", {"r_sho_roll": -np.pi / 2, "r_sho_pitch": 0.5}, "right_hand", (1, 0, 0)),
+    ("op3", {"l_sho_roll": np.pi / 2, "l_sho_pitch": -0.5}, "left_hand", (1, 0, 0)),
+    ("op3", {"r_hip_pitch": 0.5}, "right_knee", (1, 0, 0)),
+    ("op3", {"l_hip_pitch": -0.5}, "left_knee", (1, 0, 0)),
+    ("op3", {"r_knee": -0.5}, "right_ankle", (-1, 0, 0)),
+    ("op3", {"l_knee": 0.5}, "left_ankle", (-1, 0, 0)),
+    ("op3", {"r_ank_pitch": 0.5}, "right_foot", (0, 0, -1)),
+    ("op3", {"l_ank_pitch": -0.5}, "left_foot", (0, 0, -1)),
+    ("marionette", {"r_sho_roll": 1.0}, "right_hand", (0, 0, -1)),
+    ("marionette", {"l_sho_roll": 1.0}, "left_hand", (0, 0, -1)),
+    ("marionette", {"r_elbow": 1.0}, "right_hand", (1, 0, 0)),
+    ("marionette", {"l_elbow": 1.0}, "left_hand", (1, 0, 0)),
+    ("marionette", {"l_sho_roll": 1.4, "l_sho_pitch": 1.0}, "left_hand", (1, 0, 0)),
+    ("marionette", {"waist": 0.5}, "left_hand", (-1, 0, 0)),
+]
+
+
+@pytest.mark.parametrize(("name", "angles", "landmark", "direction"), MOVES)
+def test_an_angle_moves_a_limb_the_right_way(name, angles, landmark, direction):
+    robot = load_robot(name)
+    model = load_mjspec(robot).compile()
+    ends = [
+        landmark_position(robot, model, posed(robot, model, pose), landmark)
+        for pose in (
+            [0.0] * len(robot.joints),
+            [angles.get(joint, 0.0) for joint in robot.joint_names],
+        )
+    ]
+    assert float((ends[1] - ends[0]) @ direction) > 0.01
