@@ -10,7 +10,7 @@ import io
 from collections.abc import Sequence
 from pathlib import Path
 
-from bridge.stages import MotionRequest, read, schema_of
+from bridge.sources import MotionRequest, read, schema_of
 from bridge.trajectory import SCHEMA as TRAJECTORY_SCHEMA
 from bridge.trajectory import JointTrajectory
 from generator.motion import DuetMotion

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bridge import stages
-from bridge.stages import FROM_FILE, GENERATORS, MotionRequest, Progress
+from bridge.sources import FROM_FILE, MotionRequest, load_robots
+from bridge.stages import GENERATORS, Progress
 from bridge.stop import stop_on_signals
 from robots.errors import RenderError
 from robots.files import write_json
@@ -93,7 +94,7 @@ def run(settings: RunSettings, *, stage: Stage, say: Callable[[str], None]) -> R
     from bridge.player_settings import PlayerSettings
 
     out = settings.out
-    robots = stages.load_robots(*settings.robots)
+    robots = load_robots(*settings.robots)
     playing = PlayerSettings(speed=settings.speed)
     seconds: dict[str, float] = {}
 

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from bridge.retarget.stage import build_stage
-from bridge.stages import ROLLOUT_SCHEMA, MotionRequest, load_robots, read, schema_of
+from bridge.sources import ROLLOUT_SCHEMA, MotionRequest, load_robots, read, schema_of
 from bridge.trajectory import SCHEMA as TRAJECTORY_SCHEMA
 from bridge.trajectory import JointTrajectory
 from generator.motion import DuetMotion

@@ -9,13 +9,21 @@ from __future__ import annotations
 import re
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
+from bridge.sources import (
+    FROM_FILE,
+    ROLLOUT_SCHEMA,
+    MotionRequest,
+    judged_hash,
+    load_robots,
+    read,
+    schema_of,
+)
 from generator.motion import DuetMotion
 from robots.errors import GateRefused, SpecError, nearest
-from robots.files import read_archive, write_json
+from robots.files import write_json
 
 if TYPE_CHECKING:  # physics, hardware and networks are loaded by the stages that need them
     from bridge.player import Verdict
@@ -30,7 +38,6 @@ if TYPE_CHECKING:  # physics, hardware and networks are loaded by the stages tha
 Progress = Callable[[float], None]
 
 GENERATORS = ("choreographer", "intergen")
-ROLLOUT_SCHEMA = "pasdedeux.rollout/1"
 MOTION = "motion.npz"
 ROLLOUT = "rollout.npz"
 REPORT = "report.json"
@@ -41,22 +48,6 @@ VIDEO = "video.mp4"
 PICTURE = "picture.png"
 SUMMARY = "summary.json"
 """Names of the files that a run leaves in its folder."""
-
-
-@dataclass(frozen=True, slots=True)
-class MotionRequest:
-    """What the caller says of a motion file that the file does not say itself."""
-
-    fps: float | None = None
-    """Frames per second."""
-    up: Literal["y", "z"] | None = None
-    """Axis that points up, ``y`` or ``z``."""
-    scale: float | None = None
-    """Metres per unit of the file."""
-
-
-FROM_FILE = MotionRequest()
-"""Nothing more than the file says."""
 
 
 def no_progress(_: float) -> None:
@@ -113,37 +104,6 @@ def generate(
         "confidence": round(float(understood.confidence), 4),
         **describe(motion),
     }
-
-
-def read(path: Path, request: MotionRequest) -> DuetMotion:
-    """Read any motion file, or the simulated motion of a rollout.
-
-    Raises:
-        MotionFileError: It cannot be read.
-    """
-    if schema_of(path) == ROLLOUT_SCHEMA:
-        from sim.rollout import Rollout
-
-        return Rollout.load(path).as_motion()
-    from generator.io import read_motion
-
-    return read_motion(path, fps=request.fps, up=request.up, scale=request.scale)
-
-
-def _judged(path: Path) -> str | None:
-    """Return the hash of the motion that a rollout was made from; ``None`` for a motion."""
-    if schema_of(path) != ROLLOUT_SCHEMA:
-        return None
-    header, _ = read_archive(path, header_only=True)
-    return str(header["metadata"].get("input_sha256", "")) if header else None
-
-
-def schema_of(path: Path) -> str:
-    """Return the schema of one of the project's own files; empty for any other motion file."""
-    if path.suffix != ".npz":
-        return ""
-    header, _ = read_archive(path, header_only=True)
-    return str(header.get("schema", "")) if header else ""
 
 
 def import_motion(path: Path, out: Path, request: MotionRequest) -> dict[str, Any]:
@@ -205,17 +165,6 @@ def score(path: Path, out: Path, *, request: MotionRequest = FROM_FILE) -> Repor
     return report
 
 
-def load_robots(a: str, b: str) -> tuple[RobotSpec, RobotSpec]:
-    """Return the robots of both people, by name or folder.
-
-    Raises:
-        SpecError: There is no such robot.
-    """
-    from robots.registry import load_robot
-
-    return load_robot(a), load_robot(b)
-
-
 def retarget(
     motion: Path,
     robots: tuple[RobotSpec, RobotSpec],
@@ -228,7 +177,7 @@ def retarget(
     from bridge.retarget import retarget as onto_servos
 
     result = onto_servos(
-        read(motion, request), robots, source_sha256=_judged(motion), progress=progress
+        read(motion, request), robots, source_sha256=judged_hash(motion), progress=progress
     )
     for trajectory, name in zip(result.trajectories, TRAJECTORIES, strict=True):
         trajectory.save(out / name)

@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bridge.stages import GENERATORS, MotionRequest
+from bridge.sources import MotionRequest
+from bridge.stages import GENERATORS
 
 if TYPE_CHECKING:
     from generator.intergen import IntergenRequest

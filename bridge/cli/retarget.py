@@ -8,6 +8,7 @@ from pathlib import Path
 from bridge import stages
 from bridge.cli.console import Console
 from bridge.cli.options import add_motion_request, add_robots, motion_request, robot_pair
+from bridge.sources import load_robots
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, console: Console) -> int:
     """Retarget, and say how well contacts survived."""
-    robots = stages.load_robots(*robot_pair(args))
+    robots = load_robots(*robot_pair(args))
     with console.stage("retarget") as progress:
         report = stages.retarget(
             args.motion, robots, args.out, request=motion_request(args), progress=progress
