@@ -11,6 +11,10 @@ pelvis out of the body, so the predicted body is first moved along with it.
 *A fine-tuned model* (``training.freeze``) has learnt to read what is given: in its input these
 numbers carry no noise. It gets them so in every step, and the same replacement keeps them exact.
 
+Where a given end meets the generated middle, a prediction rarely goes on exactly from it. The gap
+that the network leaves at the last given frame is handed on to the frames after it, fading over
+:data:`BLEND_SECONDS`, so that no body jumps.
+
 The sampler works on normalised float32, which costs some 1e-7 of a metre; the given numbers
 themselves are put into the result last.
 """
@@ -27,7 +31,7 @@ from torch import Tensor
 
 from generator.architecture import FEATURES
 from generator.diffusion import STEPS, SamplerConfig, sample
-from generator.features import POINTS, decode
+from generator.features import CONTACTS, POINTS, POSITIONS, VELOCITIES, decode
 from generator.given import Given
 from generator.guidance import Guided
 from generator.model import InterGen
@@ -39,6 +43,9 @@ from robots.skeleton import FloatArray
 
 FREEZE = "freeze"
 """Entry of ``provenance.training`` that says what a model has learnt to read without noise."""
+
+BLEND_SECONDS = 0.4
+"""Time over which the gap between a given end and the generated middle fades."""
 
 _READS: dict[str, tuple[str, ...]] = {
     "person": ("person", "mixed"),
@@ -195,6 +202,14 @@ class Keep:
         self._values = model.normalise(flat)[None]
         self._known = torch.tensor(given.known, device=mean.device).flatten(1)[None]
         self._paths = given.paths
+        frames = max(1, round(BLEND_SECONDS * model.provenance.fps))
+        self._fades = [
+            (edge, torch.tensor(weights, dtype=mean.dtype, device=mean.device)[:, None])
+            for edge, weights in _fades(given, frames)
+        ]
+        self._poses = torch.ones(FEATURES, dtype=torch.bool, device=mean.device)
+        self._poses[VELOCITIES] = self._poses[CONTACTS] = False
+        self._poses = self._poses.repeat(2)
 
     def put(self, x: Tensor) -> Tensor:
         """Return ``x [B, T, 524]`` (normalised) with the given numbers in place."""
@@ -204,7 +219,11 @@ class Keep:
         """Return a prediction with the given numbers in place and bodies moved along paths."""
         if any(self._paths):
             clean = self._moved(clean)
-        return self.put(clean)
+        blended = clean
+        for edge, weights in self._fades:
+            gap = (self._values - clean)[:, edge] * self._poses
+            blended = blended + weights * gap[:, None]
+        return self.put(blended)
 
     def _moved(self, clean: Tensor) -> Tensor:
         """Shift the bodies of those whose path is given so that the pelvis follows it."""
@@ -219,6 +238,27 @@ class Keep:
             raw[:, :, person, _GROUND] += shift.repeat(1, 1, POINTS)
             raw[:, :, person, _GROUND_STEPS] += steps.repeat(1, 1, POINTS)
         return self._model.normalise(raw.flatten(-2))
+
+
+def _fades(given: Given, frames: int) -> list[tuple[int, FloatArray]]:
+    """Return the last given frame at each end, and the weights ``[T]`` of the gap there.
+
+    A weight is 1 at the edge and falls smoothly to 0 ``frames`` later; it is 0 on given frames.
+    """
+    if kind_of(given) != "ends":
+        return []
+    free = np.flatnonzero(~given.known[..., POSITIONS].all(axis=(1, 2)))
+    edges = [(free[0] - 1, 1), (free[-1] + 1, -1)]
+    result = []
+    for edge, way in edges:
+        if 0 <= edge < given.frames:
+            share = np.clip(way * (np.arange(given.frames) - edge) / (frames + 1), 0, 1)
+            weights = 1 - share * share * (3 - 2 * share)
+            outside = np.ones(given.frames, bool)
+            outside[free] = False
+            weights[outside] = 0
+            result.append((int(edge), weights))
+    return result
 
 
 def kind_of(given: Given) -> Literal["person", "trajectory", "ends"]:

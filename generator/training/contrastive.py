@@ -114,7 +114,7 @@ def train_evaluator(
         if report is not None and ((step + 1) % 50 == 0 or step + 1 == config.steps):
             report(step + 1, float(loss.detach()), _nearest_share(model, motion, batch, vectors))
             model.train()
-    _fold(model, mean, std)
+    fold(model, mean, std)
     return model.eval()
 
 
@@ -133,7 +133,7 @@ def _nearest_share(model: InterClip, motion: Tensor, batch: Batch, vectors: Tens
 
 
 @torch.no_grad()
-def _fold(model: InterClip, mean: Tensor, std: Tensor) -> None:
+def fold(model: InterClip, mean: Tensor, std: Tensor) -> None:
     """Let the first layer take metres: ``W (x - m) / s + b = (W / s) x + (b - W m / s)``."""
     layer = model.motion_encoder.embed_motion
     scale, shift = (x[:-CONTACTS].repeat(2).double() for x in (std, mean))

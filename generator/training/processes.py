@@ -12,11 +12,15 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field
+from datetime import timedelta
 
 import torch
 from torch import Tensor, distributed, nn
 
 from robots.errors import SpecError
+
+_PATIENCE = timedelta(hours=12)
+"""How long processes wait for each other: the first one may have a dataset to prepare."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +93,16 @@ def join(device: str = "auto") -> Processes:
     if on_gpu:
         torch.cuda.set_device(place)
     if world > 1:
-        distributed.init_process_group("nccl" if on_gpu else "gloo", rank=rank, world_size=world)
+        try:
+            distributed.init_process_group(
+                "nccl" if on_gpu else "gloo", rank=rank, world_size=world, timeout=_PATIENCE
+            )
+        except (RuntimeError, ValueError) as error:
+            raise SpecError(
+                f"the {world} processes do not find each other: {str(error).splitlines()[0]}",
+                where="MASTER_ADDR, MASTER_PORT",
+                hint="start them with torchrun",
+            ) from error
     return Processes(rank, world, place)
 
 

@@ -88,6 +88,15 @@ def test_a_given_person_comes_out_where_and_as_it_was(
     assert np.abs(other).max() > 0.01
 
 
+def test_the_last_frame_goes_on_as_it_moved(duet: DuetMotion) -> None:
+    """Features hold a step to the next frame; the last frame has none, but is kept."""
+    given = given_person(duet, "a", FPS)
+    steps = given.values[:, 0, VELOCITIES]
+    assert given.frames == duet.frames
+    assert np.allclose(steps[-1], steps[-2])
+    assert np.abs(steps[-1]).max() > 1e-4
+
+
 def test_the_partner_depends_on_who_is_given(model: InterGen, make_duet: Any) -> None:
     given = [given_person(make_duet(frames=24, seed=s), "a", FPS) for s in (3, 4)]
     given[1] = replace(given[1], placement=given[0].placement)
@@ -140,6 +149,9 @@ def test_the_body_moves_along_with_its_pelvis(model: InterGen, duet: DuetMotion)
     assert np.abs((after - after[:, :1]) - (before - before[:, :1]))[..., ::2].max() < 1e-5
     assert np.abs(after[..., 1] - before[..., 1]).max() < 1e-5
     assert np.abs(moved[:, 1] - features[:, 1]).max() < 1e-5
+    # What moves with the path also has its speed.
+    steps = (moved - features)[:-1, 0, VELOCITIES].reshape(-1, 22, 3)
+    assert np.abs(steps - np.diff(after - before, axis=0)).max() < 1e-5
 
 
 def test_steps_of_a_moved_body_are_those_of_its_path(model: InterGen) -> None:
@@ -190,6 +202,21 @@ def test_given_ends_come_out_where_they_were(model: InterGen, duet: DuetMotion, 
     if end is not None:
         kept = motion.keypoints[-end.frames :]
         assert np.abs(kept - end.keypoints).max() < EXACT
+
+
+def test_no_body_jumps_where_an_end_meets_the_middle(model: InterGen, duet: DuetMotion) -> None:
+    """A prediction that stands elsewhere than the given ends is led over from one to the other."""
+    start, end = cut_motion(duet, None, 0.3), cut_motion(duet, 0.4, None)
+    given = given_ends(start, end, 60, FPS)
+    away = torch.zeros(1, 60, 524) + model.normalise(torch.full((524,), 2.0))
+    raw = model.denormalise(Keep(model, given)(away, 0))[0].unflatten(-1, (2, 262)).numpy()
+    places = raw[..., POSITIONS]
+    gap = np.abs(places[[start.frames - 1, -end.frames]] - 2).max()
+    jumps = np.abs(np.diff(places, axis=0)).max(axis=(1, 2))
+    for edge in (start.frames - 1, 60 - end.frames - 1):
+        assert jumps[edge] < 0.1 * gap
+    middle = places[start.frames + 12 : -end.frames - 12]
+    assert np.abs(middle - 2).max() < 1e-4
 
 
 def test_rounds_change_the_middle_and_keep_the_ends(model: InterGen, duet: DuetMotion) -> None:

@@ -22,7 +22,7 @@ from generator.metrics import PAPER, RELEASE, Protocol
 from generator.model import InterGen, Provenance
 from generator.scores import SCALES, figures, spread_figures, summarise
 from generator.training.config import parse
-from generator.training.contrastive import ContrastiveConfig, same_texts, train_evaluator
+from generator.training.contrastive import ContrastiveConfig, fold, same_texts, train_evaluator
 from robots.errors import CheckpointError, SpecError
 from robots.files import read_archive
 
@@ -249,6 +249,25 @@ def test_an_evaluator_learns_to_find_the_sentence_of_a_motion(clips: DuetFolder)
         texts = evaluator.embed_text(evaluator.prepare(batch.texts))
     nearest = torch.cdist(texts, motions).argmin(dim=1)
     assert float((nearest == torch.arange(CLIPS)).float().mean()) >= 0.8
+
+
+def test_the_normalisation_goes_into_the_first_layer(clips: DuetFolder) -> None:
+    """Metres after folding give the embeddings that normalised features gave before."""
+    torch.manual_seed(2)
+    evaluator = InterClip(TINY, sentences=Words()).eval()
+    batch = _stream(clips).batch(0)
+    raw, lengths = torch.from_numpy(batch.x_raw), torch.from_numpy(batch.lengths)
+    found = measure(clips, frames=16)
+    mean, std = (torch.tensor(x, dtype=torch.float32) for x in (found.mean, found.std))
+    with torch.no_grad():
+        before = evaluator.embed_motion(
+            ((raw.unflatten(-1, (2, -1)) - mean) / std).flatten(2), lengths
+        )
+        unfolded = evaluator.embed_motion(raw, lengths)
+        fold(evaluator, mean, std)
+        after = evaluator.embed_motion(raw, lengths)
+    torch.testing.assert_close(after, before, rtol=0, atol=1e-3)
+    assert float((unfolded - before).abs().max()) > 0.1
 
 
 def test_equal_sentences_are_one_group(clips: DuetFolder) -> None:

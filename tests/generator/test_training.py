@@ -24,7 +24,7 @@ from generator.training.processes import Processes
 from generator.training.record import read_record
 from generator.training.train import LOG, STATE, Watch, train
 from generator.weights import load_weights
-from robots.errors import CheckpointError, SpecError
+from robots.errors import CheckpointError, MotionFileError, SpecError
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 TINY = {"width": 16, "layers": 1, "heads": 2, "feedforward": 16, "dropout": 0.1}
@@ -406,6 +406,13 @@ def test_every_shipped_configuration_takes_twenty_steps(
     assert outcome.steps == 20
     assert np.isfinite(outcome.losses["total"])
     assert checkpoint.load(tmp_path).config.representation in ("canonical", "non_canonical")
+
+
+def test_a_source_that_is_not_there_is_named(folder: Path, tmp_path: Path) -> None:
+    for kind in ("interhuman", "duets"):
+        run = small(folder, data={"source": [{"kind": kind, "root": str(tmp_path / "none")}]})
+        with pytest.raises(MotionFileError, match="none"):
+            train(run, tmp_path / kind)
 
 
 def test_a_source_of_duets_is_cached_once(folder: Path, tmp_path: Path) -> None:
