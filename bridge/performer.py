@@ -16,7 +16,7 @@ from typing import Protocol
 
 from bridge.clock import Clock
 from bridge.phase import Phase
-from bridge.player_settings import PlayerSettings
+from bridge.player_settings import DEFAULT_RATE, PlayerSettings
 from bridge.puppet import Puppet
 from bridge.ramp import Ramp, ramp_time
 from bridge.recorder import Recorder
@@ -67,7 +67,9 @@ class Performer:
         self.on_progress = on_progress or (lambda state, share: None)
         self.stop = stop
         parts = [puppet.part for puppet in puppets]
-        self.rate = settings.rate or 1000 / max(part.robot.cycle_ms for part in parts)
+        self.rate = settings.rate or min(
+            DEFAULT_RATE, 1000 / max(part.robot.cycle_ms for part in parts)
+        )
         self.duration = max(part.trajectory.duration for part in parts)
         self.recorder = Recorder([puppet.person for puppet in puppets], parts, self.rate)
         self._touched = False

@@ -7,6 +7,10 @@ from dataclasses import dataclass
 
 from robots.errors import SpecError
 
+DEFAULT_RATE = 60.0
+"""Ticks per second that two cores keep up even with two virtual buses beside; twice the frame rate
+of the motions."""
+
 
 @dataclass(frozen=True, slots=True)
 class PlayerSettings:
@@ -17,7 +21,7 @@ class PlayerSettings:
     """
 
     rate: float | None = None
-    """Ticks per second; ``None`` for the slower of the robots' own cycles."""
+    """Ticks per second; ``None`` for :data:`DEFAULT_RATE` or the slower robot's own cycle."""
     speed: float = 1.0
     """Speed of the dance; below 1 is slower."""
     ramp_time: float = 2.0

@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--speed", type=float, default=1.0, help="of the dance; 0.3 for a first run on metal"
     )
-    parser.add_argument("--rate", type=float, help="ticks per second (default: the robots' own)")
+    parser.add_argument("--rate", type=float, help="ticks per second (default 60)")
     parser.add_argument("--robot-a", metavar="NAME", help="folder of a's robot, if not built in")
     parser.add_argument("--robot-b", metavar="NAME", help="folder of b's robot, if not built in")
 
@@ -68,7 +68,8 @@ def execute(args: argparse.Namespace, console: Console) -> int:
         )
     console.show(
         f"{performance.outcome}: {performance.ticks} ticks at {performance.rate:g} Hz,"
-        f" {performance.late_ticks} late, {performance.skew_p99_ms:.2f} ms between the robots"
+        f" {performance.late_ticks} late, {performance.dropped_ticks} left out,"
+        f" {performance.skew_p99_ms:.2f} ms between the robots"
     )
     console.result(performance.to_json())
     return 0 if performance.completed else 130

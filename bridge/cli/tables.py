@@ -76,7 +76,8 @@ def _lines(summary: dict[str, Any]) -> list[tuple[str, tuple[str, str]]]:
             (
                 "performed",
                 f"servos {rms['a']:.1f}° / {rms['b']:.1f}° off, {lag['a']:.0f} / {lag['b']:.0f} ms"
-                f" behind, {performance['late_ticks']} of {performance['ticks']} ticks late",
+                f" behind; {performance['ticks']} ticks, {performance['late_ticks']} late,"
+                f" {performance['dropped_ticks']} left out",
             )
         )
     lines.append(("pictures", summary["pictures"]))

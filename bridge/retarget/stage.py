@@ -135,7 +135,14 @@ def _add_block(child: mujoco.MjSpec) -> None:
 
 
 def _actor(model: Any, person: str, robot: RobotSpec) -> Actor:
-    joints = [model.joint(f"{person}/{joint.name}") for joint in robot.joints]
+    try:
+        joints = [model.joint(f"{person}/{joint.name}") for joint in robot.joints]
+    except KeyError as error:
+        raise SpecError(
+            f"a joint of robot.toml is not in the model: {error}",
+            where=robot.name,
+            hint=f"see 'pasdedeux robots {robot.name}'",
+        ) from error
     sites = {name: model.site(f"{person}/{LANDMARK}{name}").id for name in robot.landmarks}
     body = int(model.jnt_bodyid[joints[0].id])
     root = int(model.body_rootid[body])
