@@ -275,6 +275,23 @@ def test_frozen_numbers_reach_the_network_without_noise(folder: Path, tmp_path: 
     assert float(far) > 0.1
 
 
+def test_a_dropped_text_is_a_zero_vector_for_the_network(folder: Path, tmp_path: Path) -> None:
+    for share in (0.0, 1.0):
+        run = small(folder, training={"unconditional": share})
+        learner = learner_of(run, tmp_path)
+        batch = prepare(run, tmp_path, Processes()).stream.batch(0)
+        shape = batch.x_raw.shape
+        draws = draw(run.training, 0, batch.lengths.tolist(), shape[1], shape[2])
+        seen = []
+        network = learner.model.denoiser.forward
+        learner._network = lambda x, t, cond, mask, seen=seen, network=network: (  # type: ignore[assignment]
+            seen.append(cond) or network(x, t, cond, mask)
+        )
+        learner._losses(batch, draws, torch.device("cpu"))
+        norms = seen[0].norm(dim=1)
+        assert torch.allclose(norms, torch.full_like(norms, 1 - share), atol=1e-5)
+
+
 def test_fine_tuning_starts_from_a_model_and_marks_what_it_learnt(
     folder: Path, tmp_path: Path
 ) -> None:
