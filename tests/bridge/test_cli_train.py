@@ -21,7 +21,7 @@ from robots.files import read_archive
 
 torch = pytest.importorskip("torch")
 
-STEPS, EVERY = 200, 10
+STEPS, EVERY = 120, 5
 CONFIG = """
 name = "test"
 [model]
@@ -44,7 +44,7 @@ learning_rate = 1e-3
 [checkpoint]
 steps = {every}
 [log]
-steps = 10
+steps = 5
 tensorboard = false
 """
 
@@ -98,6 +98,7 @@ def step_of(out: Path) -> int:
         return 0
 
 
+@pytest.mark.slow
 def test_a_killed_run_resumes_to_the_same_bits(clips: Path, trained: Path, tmp_path: Path) -> None:
     """SIGKILL at any moment loses at most the steps since the last checkpoint, and no bit."""
     config = clips / "run.toml"
@@ -127,6 +128,7 @@ def test_a_killed_run_resumes_to_the_same_bits(clips: Path, trained: Path, tmp_p
     assert logs[0] == logs[1]
 
 
+@pytest.mark.slow
 def test_a_stopped_run_saves_and_says_so(clips: Path, tmp_path: Path) -> None:
     config = config_file(clips, "long.toml", steps=100_000)
     process = subprocess.Popen(

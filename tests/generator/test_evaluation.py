@@ -231,7 +231,7 @@ def test_an_evaluator_learns_to_find_the_sentence_of_a_motion(clips: DuetFolder)
     stream = BatchStream(clips, BatchConfig(size=CLIPS, frames=16, mirror=False, swap=False))
     statistics = measure(clips, frames=16)
     shares: list[float] = []
-    config = ContrastiveConfig(architecture=TINY, steps=100, learning_rate=5e-3)
+    config = ContrastiveConfig(architecture=TINY, steps=60, learning_rate=1e-2)
     evaluator = train_evaluator(
         stream,
         statistics,
