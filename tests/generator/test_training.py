@@ -312,6 +312,24 @@ def test_fine_tuning_starts_from_a_model_and_marks_what_it_learnt(
         train(wrong, tmp_path / "third")
 
 
+def test_the_release_s_losses_can_be_trained_on(folder: Path, tmp_path: Path) -> None:
+    outcome = train(small(folder, training={"loss": "release"}), tmp_path)
+    assert {"VEL_A", "FC_B", "DM", "JA", "RO", "simple", "total"} <= set(outcome.losses)
+    assert np.isfinite(outcome.losses["total"])
+
+
+def test_a_published_checkpoint_can_be_trained_further(
+    folder: Path, tmp_path: Path, golden: Path
+) -> None:
+    path = golden / "small_intergen_decoder.ckpt"
+    heads = 4
+    config = checkpoint.load_release(path, heads=heads).config
+    size = {k: getattr(config, k) for k in ("width", "layers", "heads", "feedforward")}
+    run = small(folder, model=size, training={"initial": str(path), "loss": "release"})
+    with pytest.raises(SpecError, match="text_width"):  # the shipped sentence encoder is narrower
+        train(run, tmp_path)
+
+
 def test_the_average_follows_the_weights_with_its_decay(folder: Path, tmp_path: Path) -> None:
     learner = learner_of(small(folder, training={"ema": 0.5, "steps": 40}), tmp_path)
     batch = prepare(small(folder), tmp_path, Processes()).stream.batch(0)
