@@ -60,6 +60,6 @@ $(VENV)/.installed: $(VENV)/.python pyproject.toml constraints.txt
 $(VENV)/.installed-dev: $(VENV)/.installed
 	@echo "installing the test tools ..."
 	@if command -v uv >/dev/null 2>&1; \
-	 then VIRTUAL_ENV=$(VENV) uv pip install --quiet -c constraints.txt -e '.[view,train,dev]'; \
-	 else $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[view,train,dev]'; fi
+	 then VIRTUAL_ENV=$(VENV) uv pip install --quiet -c constraints.txt -e '.[view,release,dev]'; \
+	 else $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[view,release,dev]'; fi
 	@touch $@
