@@ -31,7 +31,7 @@ from generator.release_keys import (
 )
 from generator.text.encoder import MiniLmEncoder, SentenceEncoder, default_encoder
 from generator.text.release_text import ReleaseText
-from generator.weights import adopt, load_weights, require, save_weights
+from generator.weights import adopt, load_weights, require, require_format, save_weights
 from robots.errors import CheckpointError, DuetError, nearest
 from robots.files import parse_npy
 
@@ -140,12 +140,7 @@ def load(
     """
     header, tensors = load_weights(folder)
     where = str(folder)
-    if header.get("format") != FORMAT or header.get("version") != VERSION:
-        raise CheckpointError(
-            f"the format is {header.get('format')!r} version {header.get('version')!r}",
-            where=where,
-            allowed=f"{FORMAT} version {VERSION}",
-        )
+    require_format(header, FORMAT, VERSION, where)
     words = {k.removeprefix(_TEXT): tensors.pop(k) for k in list(tensors) if k.startswith(_TEXT)}
     if encoder is None and text:
         encoder = _make_encoder(str(header.get("text_encoder", "")), words, Path(folder))

@@ -25,7 +25,7 @@ from generator.release_keys import Shapes, post_norm_shapes
 from generator.text.clip import sentence_end
 from generator.text.clip_tokenizer import CONTEXT, ClipTokenizer, find_vocabulary
 from generator.text.encoder import SentenceEncoder, default_encoder
-from generator.weights import adopt, load_weights, require, save_weights
+from generator.weights import adopt, load_weights, require, require_format, save_weights
 from robots.errors import CheckpointError, SpecError
 
 CONTACTS = 4
@@ -383,12 +383,7 @@ def load_evaluator(folder: str | Path, *, sentences: SentenceEncoder | None = No
     """
     header, tensors = load_weights(folder)
     where = str(folder)
-    if header.get("format") != FORMAT or header.get("version") != VERSION:
-        raise CheckpointError(
-            f"the format is {header.get('format')!r} version {header.get('version')!r}",
-            where=where,
-            allowed=f"{FORMAT} version {VERSION}",
-        )
+    require_format(header, FORMAT, VERSION, where)
     kind = header.get("text_encoder", "")
     if sentences is None and kind == "minilm":
         sentences = default_encoder()

@@ -179,3 +179,17 @@ def _safetensors() -> Any:
     except ImportError as error:
         raise CheckpointError("reading weights needs safetensors", hint=INSTALL) from error
     return library
+
+
+def require_format(header: Mapping[str, Any], name: str, version: int, where: str) -> None:
+    """Do nothing if a header is of this format.
+
+    Raises:
+        CheckpointError: It is of another, or of another version.
+    """
+    if header.get("format") != name or header.get("version") != version:
+        raise CheckpointError(
+            f"the format is {header.get('format')!r} version {header.get('version')!r}",
+            where=where,
+            allowed=f"{name} version {version}",
+        )
