@@ -1,0 +1,1 @@
+"""Receding-horizon control: iLQR over targets of the joints."""
