@@ -144,6 +144,7 @@ def _rollout(
         "mujoco_version": mujoco.__version__,
         "ground_shift": list(reference.ground_shift),
         "foot_lift": list(reference.foot_lift),
+        **trace.facts,
     }
     return Rollout(
         times=np.arange(len(qpos)) / settings.rate,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import mujoco
@@ -49,6 +49,9 @@ class Trace:
     step that led to the tick."""
     torque: FloatArray
     """``[N, 2, J-1]``: size of each joint's actuator torque, N m, at the end of that step."""
+    facts: dict[str, Any] = field(default_factory=dict)
+    """What the controller has to say about the run, as plain JSON (such as ``recoveries``); becomes
+    part of the rollout's metadata."""
 
 
 class Controller(Protocol):
