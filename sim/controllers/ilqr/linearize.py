@@ -32,7 +32,7 @@ class Linearizer:
         self._model = model
         self._exact = exact
 
-    def __call__(self, data: Any, A: FloatArray, B: FloatArray) -> bool:  # noqa: N803 - as in x' = Ax + Bu
+    def __call__(self, data: Any, A: FloatArray, B: FloatArray) -> bool:
         """Write the derivatives of the next state by state and input.
 
         Args:
@@ -45,10 +45,10 @@ class Linearizer:
             Whether the derivatives are as differenced; False if an entry was over 1000, so that
             they had to be taken again over a wider step and clipped.
         """
-        mujoco.mjd_transitionFD(self._model, data, _STEP, 0, A, B, None, None)
+        mujoco.mjd_transitionFD(self._model, data, _STEP, False, A, B, None, None)
         if np.abs(A).max() <= _BOUND:
             return True
-        mujoco.mjd_transitionFD(self._model, data, _WIDE_STEP, 1, A, B, None, None)
+        mujoco.mjd_transitionFD(self._model, data, _WIDE_STEP, True, A, B, None, None)
         np.clip(np.nan_to_num(A, copy=False), -_BOUND, _BOUND, out=A)
         np.clip(np.nan_to_num(B, copy=False), -_BOUND, _BOUND, out=B)
         return False
