@@ -34,7 +34,9 @@ PEOPLE = ("a", "b")
 GRAVITY = 9.81
 """m/s2"""
 
-_FLOOR, _PERSON, _OWN = 1, (2, 4), (8, 16)
+FLOOR_BIT, PERSON_BITS, OWN_BITS = 1, (2, 4), (8, 16)
+"""Contact bits of the floor, of persons a and b, and of their self-collision."""
+
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
 _OWN_TAGS = frozenset(
     (
@@ -153,28 +155,16 @@ def build_scene(
     Raises:
         SpecError: MuJoCo refuses the model.
     """
-    root = _frame(timestep)
-    worldbody, actuators = ET.SubElement(root, "worldbody"), ET.SubElement(root, "actuator")
-    contact = ET.SubElement(root, "contact")
-    ET.SubElement(
-        worldbody,
-        "geom",
-        name="floor",
-        type="plane",
-        size="20 20 0.1",
-        contype=str(_FLOOR),
-        conaffinity=str(_PERSON[0] | _PERSON[1]),
-    )
-    ET.SubElement(worldbody, "site", name="world", group=_HIDDEN)
+    root, worldbody, actuators, contact = empty_scene(timestep)
     for p, (person, body) in enumerate(zip(PEOPLE, bodies, strict=True)):
-        own = _OWN[p] if self_collision else 0
+        own = OWN_BITS[p] if self_collision else 0
         add_humanoid(
             worldbody,
             actuators,
             body,
             prefix=f"{person}/",
-            contype=_PERSON[p] | own,
-            conaffinity=_FLOOR | _PERSON[1 - p] | own,
+            contype=PERSON_BITS[p] | own,
+            conaffinity=FLOOR_BIT | PERSON_BITS[1 - p] | own,
         )
         if self_collision:
             for one, other in neighbours(body.skeleton):
@@ -182,7 +172,7 @@ def build_scene(
                 ET.SubElement(contact, "exclude", names)
     if assist is not None:
         for person, body in zip(PEOPLE, bodies, strict=True):
-            _add_assist(worldbody, actuators, person, body, assist)
+            add_assist(worldbody, actuators, person, body, assist)
     for site in root.iter("site"):
         site.set("group", _HIDDEN)
     return _compiled(ET.tostring(root, encoding="unicode"), bodies)
@@ -258,8 +248,12 @@ def _control(model: Any, actuator: str) -> int:
     return int(model.actuator_ctrladr[model.actuator(actuator).id])
 
 
-def _frame(timestep: float) -> ET.Element:
-    """Return the root element with options and contact parameters."""
+def empty_scene(timestep: float) -> tuple[ET.Element, ET.Element, ET.Element, ET.Element]:
+    """Return MJCF with options, contact parameters and the floor, and nobody on it.
+
+    Returns:
+        The ``mujoco``, ``worldbody``, ``actuator`` and ``contact`` elements.
+    """
     root = ET.Element("mujoco", model="duet")
     ET.SubElement(root, "compiler", angle="radian")
     option = ET.SubElement(
@@ -285,10 +279,22 @@ def _frame(timestep: float) -> ET.Element:
         solref="0.01 1",
         solimp="0 0.95 0.007 0.5 2",
     )
-    return root
+    worldbody, actuators = ET.SubElement(root, "worldbody"), ET.SubElement(root, "actuator")
+    contact = ET.SubElement(root, "contact")
+    ET.SubElement(
+        worldbody,
+        "geom",
+        name="floor",
+        type="plane",
+        size="20 20 0.1",
+        contype=str(FLOOR_BIT),
+        conaffinity=str(PERSON_BITS[0] | PERSON_BITS[1]),
+    )
+    ET.SubElement(worldbody, "site", name="world", group=_HIDDEN)
+    return root, worldbody, actuators, contact
 
 
-def _add_assist(
+def add_assist(
     worldbody: ET.Element,
     actuators: ET.Element,
     person: str,
