@@ -13,6 +13,9 @@ from bridge.cli import main
 from generator.choreographer import choreograph
 from generator.io import write_motion
 
+TRACK = ("track", "--controller", "assist")
+"""Quick; which controller it is does not matter here."""
+
 
 @pytest.fixture(scope="module")
 def motion_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -164,7 +167,7 @@ def test_an_unreachable_port_is_a_hardware_fault_and_leaves_no_telemetry(
 def passing_report(trajectory_files: list[str], folder: Path) -> str:
     """Write the report that these trajectories need."""
     motion = Path(trajectory_files[0]).parent / "motion.npz"
-    assert main(["track", str(motion), "-o", str(folder / "rollout.npz")]) == 0
+    assert main([*TRACK, str(motion), "-o", str(folder / "rollout.npz")]) == 0
     assert main(["score", str(folder / "rollout.npz"), "-o", str(folder / "report.json")]) == 0
     return str(folder / "report.json")
 
@@ -176,7 +179,7 @@ def test_nothing_is_played_without_a_report_or_with_that_of_another_motion(
     assert status == 1
     assert "report" in line
     write_motion(choreograph("bow", seed=2), tmp_path / "motion.npz")
-    assert main(["track", str(tmp_path / "motion.npz"), "-o", str(tmp_path)]) == 0
+    assert main([*TRACK, str(tmp_path / "motion.npz"), "-o", str(tmp_path)]) == 0
     assert main(["score", str(tmp_path / "rollout.npz"), "-o", str(tmp_path)]) == 0
     capsys.readouterr()
     report = str(tmp_path / "report.json")

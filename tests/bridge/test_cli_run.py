@@ -27,12 +27,14 @@ FILES = {
     "summary.json",
 }
 TOUCHING = ("handshake", "high_five", "fist_bump", "circle_dance", "pass_object", "waltz")
+ASSIST = ("--controller", "assist")
+"""Quick; which controller it is does not matter here."""
 
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("demo") / "out"
-    assert main(["run", "two people shake hands", "-o", str(out), "--seed", "3"]) == 0
+    assert main(["run", "two people shake hands", "-o", str(out), "--seed", "3", *ASSIST]) == 0
     return out
 
 
@@ -68,7 +70,7 @@ def test_every_stage_alone_gives_what_run_gives(demo: Path, tmp_path: Path) -> N
 
     go("generate", "two people shake hands", "--seed", "3", "-o", tmp_path / "motion.npz")
     same(tmp_path / "motion.npz", demo / "motion.npz")
-    go("track", tmp_path / "motion.npz", "-o", tmp_path)
+    go("track", tmp_path / "motion.npz", "-o", tmp_path, *ASSIST)
     same(tmp_path / "rollout.npz", demo / "rollout.npz")
     go("score", tmp_path / "rollout.npz", "-o", tmp_path / "report.json")
     assert json.loads((tmp_path / "report.json").read_text()) == json.loads(
@@ -90,7 +92,7 @@ def test_real_mocap_goes_the_whole_way(duets: Path, tmp_path: Path) -> None:
     motion = read_motion(clip)
     hands = motion.a.point("right_hand") - motion.b.point("right_hand")
     assert np.linalg.norm(hands, axis=1).min() < 0.05
-    assert main(["run", str(clip), "-o", str(tmp_path), "--no-video"]) == 0
+    assert main(["run", str(clip), "-o", str(tmp_path), "--no-video", *ASSIST]) == 0
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["retargeting"]["contact_recall"] >= 0.9
     assert summary["performance"]["rms_deg"].keys() == {"a", "b"}

@@ -9,14 +9,14 @@ from generator.motion import Contact, DuetMotion
 from robots.errors import MotionFileError, SpecError
 from robots.files import read_archive, write_archive
 from sim.rollout import Rollout, motion_sha256
-from sim.track import track
+from sim.track import TrackSettings, track
 
 
 @pytest.fixture(scope="module")
 def rollout(make_duet):
     base = make_duet(0.4)
     contact = Contact("left_hand", "right_hand", 0.1, 0.2, 0.3)
-    return track(replace(base, contacts=(contact,)))
+    return track(replace(base, contacts=(contact,)), settings=TrackSettings(controller="assist"))
 
 
 def test_a_rollout_survives_its_file(rollout, tmp_path):

@@ -13,12 +13,14 @@ from sim.gate import Gate
 from sim.metrics import contact, ground, smoothness, tracking
 from sim.report import Metric, Report
 from sim.score import score, score_motion, tolerance
-from sim.track import track
+from sim.track import TrackSettings, track
+
+ASSIST = TrackSettings(controller="assist")
 
 
 @pytest.fixture(scope="module")
 def report(duet):
-    return score(track(duet))
+    return score(track(duet, settings=ASSIST))
 
 
 def failed(report):
@@ -40,7 +42,7 @@ def both(duet, move, change):
 
 def test_floating_people_fail(duet, move):
     up = both(duet, move, lambda k: k + np.array([0, 0, 0.5]))
-    tracked, bare = score(track(up)), score_motion(up)
+    tracked, bare = score(track(up, settings=ASSIST)), score_motion(up)
     assert not tracked.passed
     assert {"fell", "mpjpe_global"} & failed(tracked)
     assert "float_mean" in failed(bare)
@@ -53,7 +55,7 @@ def test_people_inside_each_other_fail(duet, move):
     assert "penetration_p95" in failed(bare)
     assert bare.score < 30
     try:
-        tracked = score(track(inside))
+        tracked = score(track(inside, settings=ASSIST))
     except SimDiverged:
         return
     assert "penetration_p95" in failed(tracked)
@@ -66,7 +68,7 @@ def test_teleporting_people_fail(duet, move):
         return k
 
     away = DuetMotion(move(duet.a, lambda k: jump(k) - [2, 0, 0]), duet.b)
-    tracked, bare = score(track(away)), score_motion(away)
+    tracked, bare = score(track(away, settings=ASSIST)), score_motion(away)
     assert "speed_max" in failed(tracked)
     assert "speed_max" in failed(bare)
     assert max(tracked.score, bare.score) < 20
@@ -80,7 +82,7 @@ def test_people_who_lie_on_their_side_fail(duet, move, on_the_floor):
         return k - [0, 0, k[..., 2].min() - 0.10] if on_the_floor else k
 
     down = both(duet, move, lie)
-    tracked, bare = score(track(down)), score_motion(down)
+    tracked, bare = score(track(down, settings=ASSIST)), score_motion(down)
     assert not tracked.passed
     assert not bare.passed
     assert max(tracked.score, bare.score) < 30
@@ -95,7 +97,7 @@ def test_rubber_bones_fail(duet, move):
 
 
 def test_a_stricter_gate_fails_what_the_usual_one_lets_pass(duet, report):
-    strict = score(track(duet), Gate(mpjpe_global_mm=0.01))
+    strict = score(track(duet, settings=ASSIST), Gate(mpjpe_global_mm=0.01))
     assert failed(strict) == {"mpjpe_global"}
     assert strict.score == report.score
     assert "mpjpe_global of simulated" in strict.failures[0]

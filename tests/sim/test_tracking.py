@@ -1,6 +1,7 @@
 import logging
 import os
 from contextlib import suppress
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -21,10 +22,12 @@ from sim.reference import make_reference
 from sim.scene import GRAVITY, AssistLimits, build_scene
 from sim.track import TrackSettings, track
 
+ASSIST = TrackSettings(controller="assist")
+
 
 @pytest.fixture(scope="module")
 def rollout(duet):
-    return track(duet)
+    return track(duet, settings=ASSIST)
 
 
 def test_standing_people_are_tracked_on_their_feet(rollout):
@@ -34,7 +37,7 @@ def test_standing_people_are_tracked_on_their_feet(rollout):
 
 
 def test_tracking_is_deterministic(duet, rollout):
-    again = track(duet)
+    again = track(duet, settings=ASSIST)
     assert np.array_equal(again.qpos, rollout.qpos)
     assert np.array_equal(again.assist, rollout.assist)
 
@@ -45,7 +48,7 @@ def test_tracking_says_nothing_on_the_terminal(make_duet, move, capfd, tmp_path,
     rng = np.random.default_rng(0)
     wild = move(base.a, lambda k: k + rng.normal(size=k.shape) * 0.05)
     with suppress(SimDiverged):
-        track(DuetMotion(wild, base.b))
+        track(DuetMotion(wild, base.b), settings=ASSIST)
     out, err = capfd.readouterr()
     assert out == ""
     assert err == ""
@@ -68,8 +71,8 @@ def test_warnings_of_mujoco_go_to_the_log(caplog, capfd):
 def test_the_assist_is_what_keeps_walkers_up():
     """Nobody balances in this controller, so without help people who step fall."""
     motion = choreograph("handshake", seed=0)
-    alone = track(motion, settings=TrackSettings(assist=AssistLimits(max_force=0, max_torque=0)))
-    helped = track(motion)
+    alone = track(motion, settings=replace(ASSIST, assist=AssistLimits(max_force=0, max_torque=0)))
+    helped = track(motion, settings=ASSIST)
     assert not alone.assist.any()
     assert alone.fell == {"a": True, "b": True}
     assert helped.fell == {"a": False, "b": False}
@@ -82,7 +85,7 @@ def test_assist_stays_within_its_bound(make_duet, move):
         return k + np.array([0, 0, 0.6])
 
     up = DuetMotion(move(base.a, hover), move(base.b, hover))
-    rollout = track(up, settings=TrackSettings(assist=AssistLimits(max_force=0.3)))
+    rollout = track(up, settings=replace(ASSIST, assist=AssistLimits(max_force=0.3)))
     weights = rollout.weight[:, None] * GRAVITY
     assert np.abs(rollout.assist[..., :3]).max() <= (0.3 * weights).max() * (1 + 1e-9)
     assert (np.abs(rollout.assist[20, :, 2]) > 0.29 * weights[:, 0]).all()
@@ -90,14 +93,14 @@ def test_assist_stays_within_its_bound(make_duet, move):
 
 def test_progress_reaches_one(make_duet):
     seen = []
-    track(make_duet(0.2), progress=seen.append)
+    track(make_duet(0.2), settings=ASSIST, progress=seen.append)
     assert seen[-1] == 1.0
     assert seen == sorted(seen)
 
 
 def test_moments_cover_the_motion_whatever_its_frame_rate(make_duet):
     motion = make_duet(0.5, fps=24.0)
-    rollout = track(motion)
+    rollout = track(motion, settings=ASSIST)
     assert rollout.times[-1] >= motion.duration - 1e-9
     assert rollout.times[-1] < motion.duration + 1 / 60
     back = rollout.as_motion()
@@ -108,7 +111,7 @@ def test_absurd_speed_is_called_divergence(make_duet, move):
     base = make_duet(0.3)
     away = np.arange(base.frames)[:, None, None] * [1e3, 0, 0]
     with pytest.raises(SimDiverged, match="diverged at"):
-        track(DuetMotion(move(base.a, lambda k: k + away), base.b))
+        track(DuetMotion(move(base.a, lambda k: k + away), base.b), settings=ASSIST)
 
 
 @pytest.mark.parametrize(
@@ -251,7 +254,7 @@ def test_feed_forward_beats_springs_alone(make_duet):
 @pytest.mark.slow
 @pytest.mark.parametrize("interaction", ["handshake", "hug", "waltz", "walk_together"])
 def test_choreographed_duets_are_tracked(interaction):
-    rollout = track(choreograph(interaction, seed=0))
+    rollout = track(choreograph(interaction, seed=0), settings=ASSIST)
     assert rollout.fell == {"a": False, "b": False}
     assert rollout.error.mean() < 0.03
 
@@ -261,6 +264,6 @@ def test_choreographed_duets_are_tracked(interaction):
     "clip", ["cmu_18_01_handshake_sym", "cmu_007_01_side", "cmu_005_02_mirror"]
 )
 def test_captured_duets_are_tracked(duets, clip):
-    rollout = track(read_motion(duets / "pseudo" / f"{clip}.npz"))
+    rollout = track(read_motion(duets / "pseudo" / f"{clip}.npz"), settings=ASSIST)
     assert rollout.fell == {"a": False, "b": False}
     assert rollout.error.mean() < 0.04
