@@ -1,0 +1,1 @@
+"""How well, and at what cost, controllers make duets happen in physics; see docs/tracking.md."""
