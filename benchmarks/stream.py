@@ -22,9 +22,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bridge.bus import STREAM_LENGTH, ServoBus
-from bridge.registers import BAUD_RATES, control_table
-from bridge.transport import SdkTransport
+from bridge.servo.bus import STREAM_LENGTH, ServoBus
+from bridge.servo.registers import BAUD_RATES, control_table
+from bridge.servo.sdk_transport import SdkTransport
 from bridge.virtual import PtyServer, VirtualBus, VirtualServo
 from robots.registry import load_robot
 from robots.spec import JointSpec

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 
-from bridge.clock import Clock
-from bridge.lock import PortLock
-from bridge.transport import SdkTransport, Transport
+from bridge.servo.clock import Clock
+from bridge.servo.lock import PortLock
+from bridge.servo.sdk_transport import SdkTransport
+from bridge.servo.transport import Transport
 from bridge.virtual.process import virtual_port
 from robots.errors import SpecError, nearest
 from robots.spec import RobotSpec

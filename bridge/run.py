@@ -19,7 +19,7 @@ from robots.errors import RenderError
 from robots.files import write_json
 
 if TYPE_CHECKING:
-    from bridge.telemetry import Performance
+    from bridge.player.telemetry import Performance
     from generator.intergen import IntergenRequest
     from sim.report import Report
 
@@ -91,7 +91,7 @@ def run(settings: RunSettings, *, stage: Stage, say: Callable[[str], None]) -> R
     Raises:
         DuetError: A stage failed; files of the stages before it are there.
     """
-    from bridge.player_settings import PlayerSettings
+    from bridge.player.settings import PlayerSettings
 
     out = settings.out
     robots = load_robots(*settings.robots)

@@ -27,8 +27,8 @@ from robots.files import write_json
 
 if TYPE_CHECKING:  # physics, hardware and networks are loaded by the stages that need them
     from bridge.player import Verdict
-    from bridge.player_settings import PlayerSettings
-    from bridge.telemetry import Performance
+    from bridge.player.settings import PlayerSettings
+    from bridge.player.telemetry import Performance
     from bridge.trajectory import JointTrajectory
     from generator.intergen import IntergenRequest
     from robots.spec import RobotSpec

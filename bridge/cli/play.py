@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, console: Console) -> int:
     """Play; Ctrl-C slows down and holds, a second one relaxes at once."""
-    from bridge.player_settings import PlayerSettings
+    from bridge.player.settings import PlayerSettings
     from bridge.stop import stop_on_signals
 
     ports = tuple(args.port * 2 if args.port == ["virtual"] else args.port)

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-from bridge.registers import BAUD_RATES, OPERATING_MODES, POSITION_UNIT, TickScale, control_table
+from bridge.servo.registers import (
+    BAUD_RATES,
+    OPERATING_MODES,
+    POSITION_UNIT,
+    TickScale,
+    control_table,
+)
 from bridge.virtual.bus import VirtualBus
 from bridge.virtual.faults import FaultPlan
 from bridge.virtual.servo import VirtualServo

@@ -19,9 +19,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from bridge import packets
-from bridge.packets import Packet, Parser
-from bridge.registers import BAUD_RATES, RETURN_DELAY_UNIT
+from bridge.servo import packets
+from bridge.servo.packets import Packet, Parser
+from bridge.servo.registers import BAUD_RATES, RETURN_DELAY_UNIT
 from bridge.virtual.faults import FaultPlan
 from bridge.virtual.servo import VirtualServo
 

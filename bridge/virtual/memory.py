@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from functools import cache
 
-from bridge.packets import ERROR_ACCESS, ERROR_LENGTH
-from bridge.registers import Area, Bound, ControlTable, Register
+from bridge.servo.packets import ERROR_ACCESS, ERROR_LENGTH
+from bridge.servo.registers import Area, Bound, ControlTable, Register
 
 SIZE = 1024
 

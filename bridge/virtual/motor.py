@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from bridge.registers import POSITION_UNIT, PWM_FULL
+from bridge.servo.registers import POSITION_UNIT, PWM_FULL
 
 STEP = 0.002
 """Integration step, s."""

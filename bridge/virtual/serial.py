@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 from collections import deque
 
-from bridge.clock import Clock
+from bridge.servo.clock import Clock
 from bridge.virtual.bus import VirtualBus
 
 

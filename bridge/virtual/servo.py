@@ -9,14 +9,14 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from bridge.packets import (
+from bridge.servo.packets import (
     ALERT,
     ERROR_ACCESS,
     ERROR_LIMIT,
     ERROR_RANGE,
     ERROR_RESULT,
 )
-from bridge.registers import (
+from bridge.servo.registers import (
     ACCELERATION_UNIT,
     EXTENDED_RANGE,
     MODE_CURRENT,

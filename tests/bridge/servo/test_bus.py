@@ -10,9 +10,9 @@ import termios
 import numpy as np
 import pytest
 
-from bridge.bus import ServoBus
-from bridge.clock import VirtualClock
-from bridge.transport import SdkTransport
+from bridge.servo.bus import ServoBus
+from bridge.servo.clock import VirtualClock
+from bridge.servo.sdk_transport import SdkTransport
 from bridge.virtual import Fault, FaultPlan, VirtualBus, VirtualSerial, virtual_bus_for
 from robots.errors import BusCorrupt, BusError, BusTimeout, PortLost, ServoFault
 from robots.registry import load_robot
@@ -267,7 +267,7 @@ def test_an_alert_is_seen_in_a_sync_read_and_named():
 def test_a_refused_write_names_joint_and_reason():
     rig = Rig().open()
     with pytest.raises(ServoFault, match=rf"{ELBOW.name} \(id {ELBOW.servo.id}.*out of range"):
-        rig.bus._write(4, "led", 9)
+        rig.bus.registers.write(4, "led", 9)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])

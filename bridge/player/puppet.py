@@ -8,13 +8,13 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from bridge.bus import ServoBus
-from bridge.clock import Clock
 from bridge.plan import Part
-from bridge.player_settings import PlayerSettings
-from bridge.registers import VOLTAGE_UNIT
-from bridge.state import ServoState
-from bridge.transport import Transport
+from bridge.player.settings import PlayerSettings
+from bridge.servo.bus import ServoBus
+from bridge.servo.clock import Clock
+from bridge.servo.registers import VOLTAGE_UNIT
+from bridge.servo.state import ServoState
+from bridge.servo.transport import Transport
 from robots.errors import BusError, BusTimeout, ServoFault
 from robots.skeleton import FloatArray
 

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bridge import packets
-from bridge.packets import Packet, Parser, instruction
-from bridge.registers import control_table
+from bridge.servo import packets
+from bridge.servo.packets import Packet, Parser, instruction
+from bridge.servo.registers import control_table
 from bridge.virtual import Fault, FaultPlan, VirtualBus, VirtualServo
 from bridge.virtual.build import virtual_bus_for
 from robots.errors import SpecError

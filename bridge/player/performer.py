@@ -2,8 +2,8 @@
 
 **The problem.** Both robots must be told the same moment of the dance at the same time, for ever
 without drift, on a machine that is sometimes late. So tick k has the absolute time t0 + k dt, both
-goals are computed from it (:class:`~bridge.phase.Phase`), both commands leave before any answer is
-awaited, and ticks whose time has passed are left out: goals are never queued.
+goals are computed from it (:class:`~bridge.player.phase.Phase`), both commands leave before any
+answer is awaited, and ticks whose time has passed are left out: goals are never queued.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from bridge.clock import Clock
-from bridge.phase import Phase
-from bridge.player_settings import DEFAULT_RATE, PlayerSettings
-from bridge.puppet import Puppet
-from bridge.ramp import Ramp, ramp_time
-from bridge.recorder import Recorder
+from bridge.player.phase import Phase
+from bridge.player.puppet import Puppet
+from bridge.player.ramp import Ramp, ramp_time
+from bridge.player.recorder import Recorder
+from bridge.player.settings import DEFAULT_RATE, PlayerSettings
+from bridge.player.telemetry import Performance, Telemetry
+from bridge.servo.clock import Clock
 from bridge.stop import stop_level
-from bridge.telemetry import Performance, Telemetry
 from robots.errors import BusError, BusTimeout, DuetError
 from robots.skeleton import FloatArray
 

@@ -2,9 +2,9 @@
 
 **The problem.** A servo is a table of bytes: addresses with a length, a sign, a range, a unit and
 rules about who may write what and when. The tables differ between models in a few lines. They are
-data (``bridge/models/*.toml``: one base table, and per family what differs); this module reads them
-and converts between register values and SI units. Everything outside works in rad, rad/s, A, V and
-degC.
+data (``bridge/servo/models/*.toml``: one base table, and per family what differs); this module
+reads them and converts between register values and SI units. Everything outside works in rad,
+rad/s, A, V and degC.
 
 Worked example, an XM430-W350 with ``zero`` 2048, ``direction`` -1, ``ratio`` 1::
 
@@ -91,7 +91,7 @@ class Register:
     """
 
     name: str
-    """As in ``bridge/models``: the maker's data name in snake case."""
+    """As in ``bridge/servo/models``: the maker's data name in snake case."""
     address: int
     """First byte."""
     length: int
@@ -210,7 +210,7 @@ class ControlTable:
 
 @cache
 def _tables() -> dict[str, ControlTable]:
-    folder = resources.files("bridge") / "models"
+    folder = resources.files("bridge.servo") / "models"
     families = {
         file.name.removesuffix(".toml"): tomllib.loads(file.read_text("utf-8"))
         for file in sorted(folder.iterdir(), key=lambda file: file.name)
@@ -345,6 +345,11 @@ class TickScale:
     def resolution(self) -> FloatArray:
         """``[D]`` rad of the joint per tick."""
         return 1 / np.abs(self.factor)
+
+
+def describe_model(number: int) -> str:
+    """Return a model number with its name, for messages."""
+    return f"{model_name(number)} ({number})"
 
 
 def velocity_counts(velocity: float) -> int:

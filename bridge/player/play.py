@@ -26,14 +26,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from bridge.clock import Clock, MonotonicClock
-from bridge.performer import OnProgress, Performer
 from bridge.plan import plan
-from bridge.player_settings import PlayerSettings
+from bridge.player.performer import OnProgress, Performer
+from bridge.player.puppet import Puppet
+from bridge.player.settings import PlayerSettings
+from bridge.player.telemetry import Performance, Telemetry
 from bridge.ports import VIRTUAL, Connect, Ports, connect, ports_of
-from bridge.puppet import Puppet
+from bridge.servo.clock import Clock, MonotonicClock
 from bridge.stop import StopRequest
-from bridge.telemetry import Performance, Telemetry
 from bridge.trajectory import JointTrajectory
 from robots.errors import GateRefused, SpecError
 from robots.spec import RobotSpec

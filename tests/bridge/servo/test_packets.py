@@ -8,8 +8,17 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from bridge import packets
-from bridge.packets import Packet, Parser, crc16, fast_status, instruction, status, stuff, unstuff
+from bridge.servo import packets
+from bridge.servo.packets import (
+    Packet,
+    Parser,
+    crc16,
+    fast_status,
+    instruction,
+    status,
+    stuff,
+    unstuff,
+)
 
 TRICKY = st.lists(st.sampled_from([0xFF, 0xFD, 0x00, 0x55]), max_size=40).map(bytes)
 BODIES = st.one_of(st.binary(max_size=60), TRICKY)

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from bridge.plan import Part
-from bridge.state import ServoState
-from bridge.telemetry import Performance, Tracking, track
+from bridge.player.telemetry import Performance, Tracking, track
+from bridge.servo.state import ServoState
 from robots.skeleton import FloatArray
 
 LATE_SHARE = 0.25

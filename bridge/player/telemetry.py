@@ -18,7 +18,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from bridge.state import ServoState
+from bridge.servo.state import ServoState
 from robots.errors import MotionFileError
 from robots.skeleton import FloatArray
 

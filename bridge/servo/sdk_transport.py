@@ -1,4 +1,4 @@
-"""The narrow seam to a servo wire: (id, address, bytes). Default: dynamixel-sdk over pyserial.
+"""The default :class:`~bridge.servo.transport.Transport`: dynamixel-sdk over pyserial.
 
 **The problem.** The maker's SDK is the reference client, but used as it stands it is not fit to
 move a robot (findings for 4.1.0): its reads spin a whole core; an unplugged adapter raises a bare
@@ -7,8 +7,6 @@ answers of all the others unreachable; packets that need byte stuffing go out wi
 is dropped; timeouts follow the wall clock; after a failed read, late bytes are taken for the next
 answer. All of it can be mended from outside, by an own port object and two overridden methods: the
 SDK itself stays as installed.
-
-:class:`Transport` is what :mod:`bridge.bus` needs; another client library fits behind it.
 """
 
 from __future__ import annotations
@@ -23,9 +21,8 @@ from typing import Any, Literal, Protocol
 import dynamixel_sdk as sdk
 import serial
 
-from bridge.clock import Clock, MonotonicClock
-from bridge.packets import ALERT, ERROR_NAMES, MAX_LENGTH, STATUS, Parser, stuff, unstuff
-from bridge.registers import model_name
+from bridge.servo.clock import Clock, MonotonicClock
+from bridge.servo.packets import ALERT, ERROR_NAMES, MAX_LENGTH, STATUS, Parser, stuff, unstuff
 from robots.errors import BusCorrupt, BusError, BusTimeout, PortLost, ServoFault
 
 log = logging.getLogger(__name__)
@@ -41,48 +38,6 @@ merely an old position) and how long to wait for it, s."""
 
 STATUS_OVERHEAD = 11
 """Bytes of a status packet beside its data."""
-
-
-class Transport(Protocol):
-    """Sends instructions over one port; servos are ids, registers are addresses.
-
-    Every method raises only :class:`PortLost`, :class:`BusTimeout`, :class:`BusCorrupt` or
-    :class:`ServoFault`.
-    """
-
-    port: str
-
-    def open(self) -> None:
-        """Open the port."""
-        ...
-
-    def close(self) -> None:
-        """Close the port; never raises."""
-        ...
-
-    def ping(self, servo_id: int) -> int:
-        """Return the model number of a servo."""
-        ...
-
-    def read(self, servo_id: int, address: int, length: int) -> tuple[int, bytes]:
-        """Return (alert bit, data)."""
-        ...
-
-    def write(self, servo_id: int, address: int, data: bytes) -> int:
-        """Write and return the alert bit of the answer."""
-        ...
-
-    def sync_write(self, address: int, data: Mapping[int, bytes]) -> None:
-        """Write to several servos at once; nobody answers."""
-        ...
-
-    def sync_read_begin(self, address: int, length: int, ids: Sequence[int]) -> None:
-        """Ask several servos at once."""
-        ...
-
-    def sync_read_end(self) -> dict[int, tuple[int, bytes]]:
-        """Return (alert bit, data) of those that answered."""
-        ...
 
 
 class SerialPort(Protocol):
@@ -397,11 +352,6 @@ class SdkTransport:
                 device.clearPort()
         except (OSError, termios.error, serial.SerialException) as error:
             raise self._lost(error) from error
-
-
-def describe_model(number: int) -> str:
-    """Return a model number with its name, for messages."""
-    return f"{model_name(number)} ({number})"
 
 
 def _reason(error: BaseException) -> str:

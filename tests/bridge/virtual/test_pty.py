@@ -12,9 +12,9 @@ import dynamixel_sdk as sdk
 import numpy as np
 import pytest
 
-from bridge.lock import PortLock
 from bridge.player import PlayerSettings, Verdict, play
-from bridge.telemetry import read_telemetry
+from bridge.player.telemetry import read_telemetry
+from bridge.servo.lock import PortLock
 from bridge.trajectory import JointTrajectory
 from bridge.virtual import PtyServer, virtual_bus_for
 from bridge.virtual.process import virtual_port
@@ -168,7 +168,7 @@ def test_a_second_owner_of_a_port_is_refused(tmp_path):
     device.write_text("")
     link.symlink_to(device)
     code = (
-        "import sys; from bridge.lock import PortLock; from robots.errors import PortLost\n"
+        "import sys; from bridge.servo.lock import PortLock; from robots.errors import PortLost\n"
         "try:\n"
         "    with PortLock(sys.argv[1], folder=sys.argv[2]): print('got it')\n"
         "except PortLost as error: print(error)"

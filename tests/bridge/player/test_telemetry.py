@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.phase import Phase
-from bridge.ramp import Ramp, ramp_time
-from bridge.telemetry import Telemetry, read_telemetry, track
+from bridge.player.phase import Phase
+from bridge.player.ramp import Ramp, ramp_time
+from bridge.player.telemetry import Telemetry, read_telemetry, track
 from robots.errors import MotionFileError
 
 NAMES = ("one", "two")

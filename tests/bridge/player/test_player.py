@@ -13,12 +13,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bridge.clock import VirtualClock
 from bridge.player import PlayerSettings, StopRequest, Verdict, play
+from bridge.player.telemetry import read_telemetry
 from bridge.ports import VIRTUAL, ports_of
-from bridge.telemetry import read_telemetry
+from bridge.servo.clock import VirtualClock
+from bridge.servo.sdk_transport import SdkTransport
 from bridge.trajectory import JointTrajectory
-from bridge.transport import SdkTransport
 from bridge.virtual import Fault, FaultPlan, VirtualBus, VirtualSerial, virtual_bus_for
 from robots.errors import (
     BusError,

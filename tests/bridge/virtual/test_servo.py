@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bridge import packets
-from bridge.registers import POSITION_UNIT, control_table, model_names
+from bridge.servo import packets
+from bridge.servo.registers import POSITION_UNIT, control_table, model_names
 from bridge.virtual import VirtualServo
 
 XM430 = control_table("XM430-W350")

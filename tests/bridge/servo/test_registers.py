@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.registers import (
+from bridge.servo.registers import (
     RPM,
     TickScale,
     control_table,

@@ -1,0 +1,1 @@
+"""Servos on a wire: registers, packets, the transport, and the bus that speaks in joint names."""

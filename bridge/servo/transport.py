@@ -1,0 +1,52 @@
+"""The narrow seam to a servo wire: (id, address, bytes).
+
+:mod:`bridge.servo.access` and :mod:`bridge.servo.bus` need no more than :class:`Transport`; any
+client library fits behind it. The default is :mod:`bridge.servo.sdk_transport`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+
+class Transport(Protocol):
+    """Sends instructions over one port; servos are ids, registers are addresses.
+
+    Every method raises only :class:`PortLost`, :class:`BusTimeout`, :class:`BusCorrupt` or
+    :class:`ServoFault`.
+    """
+
+    port: str
+
+    def open(self) -> None:
+        """Open the port."""
+        ...
+
+    def close(self) -> None:
+        """Close the port; never raises."""
+        ...
+
+    def ping(self, servo_id: int) -> int:
+        """Return the model number of a servo."""
+        ...
+
+    def read(self, servo_id: int, address: int, length: int) -> tuple[int, bytes]:
+        """Return (alert bit, data)."""
+        ...
+
+    def write(self, servo_id: int, address: int, data: bytes) -> int:
+        """Write and return the alert bit of the answer."""
+        ...
+
+    def sync_write(self, address: int, data: Mapping[int, bytes]) -> None:
+        """Write to several servos at once; nobody answers."""
+        ...
+
+    def sync_read_begin(self, address: int, length: int, ids: Sequence[int]) -> None:
+        """Ask several servos at once."""
+        ...
+
+    def sync_read_end(self) -> dict[int, tuple[int, bytes]]:
+        """Return (alert bit, data) of those that answered."""
+        ...
