@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import Any
 
 
 class DuetError(Exception):
@@ -65,9 +66,22 @@ class RenderError(DuetError):
 
 
 class SimDiverged(DuetError):
-    """The physics produced non-finite or absurd numbers."""
+    """The physics produced non-finite or absurd numbers.
+
+    Attributes:
+        time: When in the run, s; ``None`` outside of one.
+        trace: What happened until then, a ``sim.simulation.Trace``; ``None`` if nothing did.
+    """
 
     exit_code = 1
+
+    def __init__(
+        self, what: str, *, time: float | None = None, trace: Any = None, **parts: str
+    ) -> None:
+        """Keep the parts; ``where``, ``allowed`` and ``hint`` as in :class:`DuetError`."""
+        self.time = time
+        self.trace = trace
+        super().__init__(what, **parts)
 
 
 class LimitViolation(DuetError):

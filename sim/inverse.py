@@ -28,10 +28,10 @@ from scipy.ndimage import gaussian_filter1d
 from generator.kinematics import forward_kinematics, global_rotations
 from robots.humanoid import HumanBody
 from robots.skeleton import FloatArray
-from sim.controllers.base import quiet_mujoco, reference_qvel
 from sim.footing import FOOT_BODIES, sole_corners
 from sim.reference import Reference
 from sim.scene import GRAVITY, Scene
+from sim.simulation import quiet_mujoco, reference_qvel
 
 FRICTION = 0.8
 """Friction coefficient that the feet may use; a little less than the scene's."""

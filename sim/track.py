@@ -16,6 +16,7 @@ from robots.errors import SpecError, nearest
 from robots.skeleton import FloatArray
 from sim.controllers.assist import AssistController
 from sim.controllers.base import Controller, Progress, Trace
+from sim.disturbance import NONE, Disturbance
 from sim.reference import Reference, make_reference
 from sim.rollout import Rollout, motion_sha256
 from sim.scene import AssistLimits, Scene, build_scene
@@ -48,6 +49,8 @@ class TrackSettings:
     """Whether a person's limbs collide with its own others."""
     weights: tuple[float | None, float | None] = (None, None)
     """Body masses of a and b, kg; ``None`` is a body mass index of 22."""
+    disturbance: Disturbance = NONE
+    """What the simulated world has otherwise than the controller believes."""
 
     def __post_init__(self) -> None:
         """Validate."""
@@ -96,7 +99,9 @@ def track(
         assist=settings.assist if settings.assist.max_force or settings.assist.max_torque else None,
         self_collision=settings.self_collision,
     )
-    trace = CONTROLLERS[settings.controller]().run(scene, reference, progress)
+    trace = CONTROLLERS[settings.controller]().run(
+        scene, reference, progress, disturbance=settings.disturbance
+    )
     rollout = _rollout(motion, settings, reference, scene, trace)
     for person, time in rollout.fall_time.items():
         if time is not None:

@@ -26,6 +26,7 @@ from generator.kinematics import from_wxyz, to_wxyz
 from robots.humanoid import body_plan
 from robots.skeleton import FloatArray
 from sim.controllers.base import Progress, Trace, simulate, within_effort
+from sim.disturbance import NONE, Disturbance
 from sim.inverse import inverse_dynamics
 from sim.reference import Reference
 from sim.scene import Scene
@@ -41,7 +42,14 @@ class AssistController:
     effort_factor: float = 1.5
     """Targets ask for at most this many times the effort limit of a joint."""
 
-    def run(self, scene: Scene, reference: Reference, progress: Progress | None = None) -> Trace:
+    def run(
+        self,
+        scene: Scene,
+        reference: Reference,
+        progress: Progress | None = None,
+        *,
+        disturbance: Disturbance = NONE,
+    ) -> Trace:
         """Simulate the whole reference; see :class:`sim.controllers.base.Controller`."""
         ratio = body_plan().damping_ratio
         linear, angular = reference.steps()
@@ -64,7 +72,7 @@ class AssistController:
                 data.ctrl[at.assist] = target
                 data.mocap_quat[at.mocap] = reference.rotations[tick + 1, p, 0]
 
-        return simulate(scene, reference, policy, progress)
+        return simulate(scene, reference, policy, progress, disturbance=disturbance)
 
     def _targets(self, scene: Scene, reference: Reference, angular: NDArray) -> FloatArray:
         """Return the targets ``[N-1, 2 (J-1), 4]`` wxyz of all joints, per step."""

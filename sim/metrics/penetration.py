@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robots.skeleton import FloatArray
-from sim.controllers.base import quiet_mujoco
 from sim.scene import Scene
+from sim.simulation import quiet_mujoco
 
 
 @dataclass(frozen=True, slots=True, eq=False)
