@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
 from generator.kinematics import from_wxyz
-from generator.motion import DuetMotion, Motion
+from generator.motion import Contact, DuetMotion, Motion
 from robots.humanoid import HumanBody
 from robots.skeleton import FloatArray
 from sim.fitting import fit_person
@@ -35,6 +35,8 @@ class Reference:
     """How far each was lifted so that its standing soles are on the floor, m."""
     foot_lift: tuple[float, float]
     """Most that a swinging foot of each was lifted to clear the floor, m."""
+    contacts: tuple[Contact, ...] = ()
+    """Touches that the motion labels."""
 
     @property
     def times(self) -> FloatArray:
@@ -113,6 +115,7 @@ def make_reference(
         (bodies[0], bodies[1]),
         (shifts[0], shifts[1]),
         (lifts[0], lifts[1]),
+        contacts=motion.contacts,
     )
 
 
