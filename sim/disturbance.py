@@ -20,6 +20,8 @@ from sim.scene import PEOPLE
 
 CHEST = "spine3"
 """Body that a push meets if none is named."""
+PUSH_FORM = "PERSON X Y Z at SECONDS for SECONDS [on BODY], such as 'a 100 0 0 at 1.0 for 0.2'"
+PAYLOAD_FORM = "PERSON BODY KILOGRAMS, such as 'a right_wrist 2'"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,6 +146,48 @@ class Disturbance:
         for push in self.pushes:
             body = data.body(f"{push.person}/{push.body}").id
             data.xfrc_applied[body, :3] += np.multiply(push.force, push.share(start, duration))
+
+
+def parse_push(text: str) -> Push:
+    """Return the push that a text such as ``a 100 0 0 at 1.0 for 0.2 on spine3`` describes.
+
+    Person, force in N (world), start and duration in s; the body is the chest if not named.
+
+    Raises:
+        SpecError: The text is not of that form, or says what cannot be.
+    """
+    words = text.split()
+    form = [*("at", "for"), *(["on"] if len(words) > 8 else [])]
+    if len(words) not in (8, 10) or words[4::2] != form:
+        raise SpecError(f"'{text}' is no push", where="push", allowed=PUSH_FORM)
+    x, y, z, start, duration = (_number(words[i], "push", PUSH_FORM) for i in (1, 2, 3, 5, 7))
+    return Push(
+        person=words[0],
+        force=(x, y, z),
+        start=start,
+        duration=duration,
+        body=words[9] if len(words) > 8 else CHEST,
+    )
+
+
+def parse_payload(text: str) -> Payload:
+    """Return the payload that a text such as ``a right_wrist 2`` describes: who, where, kg.
+
+    Raises:
+        SpecError: The text is not of that form, or says what cannot be.
+    """
+    words = text.split()
+    if len(words) != 3:
+        raise SpecError(f"'{text}' is no payload", where="payload", allowed=PAYLOAD_FORM)
+    mass = _number(words[2], "payload", PAYLOAD_FORM)
+    return Payload(person=words[0], body=words[1], mass=mass)
+
+
+def _number(word: str, where: str, form: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        raise SpecError(f"'{word}' is no number", where=where, allowed=form) from None
 
 
 def _require_body(person: str, body: str, where: str) -> None:
