@@ -81,11 +81,12 @@ class Rollout:
     fps: float
     """Frame rate of the motion that was tracked."""
     frames: int
-    """Number of its frames."""
+    """Number of its frames that were simulated."""
     metadata: dict[str, Any] = field(default_factory=dict)
     """Plain JSON: ``text``, ``source``, ``licence``, ``seed``, ``interaction``, ``contacts``,
-    ``controller``, ``settings``, ``input_sha256``, ``mujoco_version``, ``ground_shift``,
-    ``foot_lift``."""
+    ``controller``, ``settings``, ``input_sha256``, ``duration_s`` (of the motion),
+    ``mujoco_version``, ``ground_shift``, ``foot_lift``; what the controller says of the run, such
+    as ``recoveries`` and ``ended``."""
 
     def __post_init__(self) -> None:
         """Validate and freeze."""
@@ -154,6 +155,14 @@ class Rollout:
         return {person: time is not None for person, time in self.fall_time.items()}
 
     @property
+    def ended(self) -> dict[str, Any] | None:
+        """``time`` s and ``why`` the run ended before the motion did; ``None`` if it did not."""
+        ended = self.metadata.get("ended")
+        if ended is None:
+            return None
+        return {"time": float(ended["time"]), "why": str(ended["why"])}
+
+    @property
     def contacts(self) -> tuple[Contact, ...]:
         """Touches that the motion labels."""
         return tuple(Contact(**c) for c in self.metadata.get("contacts", ()))
@@ -167,7 +176,7 @@ class Rollout:
         return load_scene(self.xml, self.bodies)
 
     def as_motion(self) -> DuetMotion:
-        """Return what was simulated as a motion of the original frame rate and length."""
+        """Return what was simulated as a motion of the original frame rate."""
         scene, meta = self.scene(), self.metadata
         root, rotations = scene.poses(self.qpos)
         times = np.minimum(np.arange(self.frames) / self.fps, self.times[-1])
@@ -230,7 +239,7 @@ class Rollout:
                 frames=int(header["frames"]),
                 metadata=dict(header["metadata"]),
             )
-            _ = rollout.contacts, rollout.bodies
+            _ = rollout.contacts, rollout.bodies, rollout.ended
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise MotionFileError(f"incomplete rollout: {error!r}", where=where) from error
         except DuetError as error:

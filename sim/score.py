@@ -58,6 +58,7 @@ def score(rollout: Rollout, gate: Gate | None = None) -> Report:
     keypoints, reference, rate = rollout.keypoints, rollout.reference, rollout.rate
     bodies = rollout.bodies
     sheet.fall(rollout)
+    sheet.ended(rollout)
     error = tracking.mpjpe(keypoints, reference) * 1000
     sheet.people(
         ("mpjpe_global", "simulated", "mm", "mean keypoint distance from the reference"),
@@ -93,7 +94,7 @@ def score_motion(motion: DuetMotion, gate: Gate | None = None) -> Report:
         SpecError: The people are not of human size.
     """
     gate = gate or Gate()
-    reference = make_reference(motion, rate=motion.fps, smoothing=0.0, clear=False)
+    reference = make_reference(motion, rate=motion.fps, smoothing=0.0, repair=False)
     sheet = Sheet(reference.times)
     scene = build_scene(reference.bodies)
     qpos = scene.qpos(reference.root, reference.rotations)

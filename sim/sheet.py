@@ -96,3 +96,19 @@ class Sheet:
                     worst_time=time,
                 )
             )
+
+    def ended(self, rollout: Rollout) -> None:
+        """Add whether the run ended before the motion did."""
+        ended = rollout.ended
+        self.metrics.append(
+            Metric(
+                name="ended_early",
+                of="simulated",
+                person="both",
+                value=float(ended is not None),
+                unit="",
+                definition="1 if the physics diverged or the controller gave up",
+                threshold=0.0,
+                worst_time=None if ended is None else round(ended["time"], 4),
+            )
+        )

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator.motion import DuetMotion
-from robots.errors import SpecError, nearest
+from robots.errors import SimDiverged, SpecError, nearest
+from robots.files import plain
 from robots.skeleton import FloatArray
 from sim.controllers.assist import AssistController
 from sim.controllers.base import Controller, Progress, Trace
@@ -76,7 +77,9 @@ def track(
 ) -> Rollout:
     """Return what two simulated people did when asked to do a motion.
 
-    The same motion and settings give the same rollout on the same machine.
+    The same motion and settings give the same rollout on the same machine. Where the physics
+    diverges or the controller gives up, the rollout ends, and its :attr:`~Rollout.ended` says when
+    and why.
 
     Args:
         motion: What to do.
@@ -84,7 +87,7 @@ def track(
         progress: Told the share of the work that is done, 0 to 1.
 
     Raises:
-        SimDiverged: The physics produced non-finite or absurd numbers.
+        SimDiverged: The motion itself is absurd: its poses are not finite.
         SpecError: The people are not of human size.
     """
     settings = settings or TrackSettings()
@@ -99,14 +102,55 @@ def track(
         assist=settings.assist if settings.assist.max_force or settings.assist.max_torque else None,
         self_collision=settings.self_collision,
     )
-    trace = CONTROLLERS[settings.controller]().run(
-        scene, reference, progress, disturbance=settings.disturbance
-    )
+    controller = CONTROLLERS[settings.controller]()
+
+    def run() -> Trace:
+        return controller.run(scene, reference, progress, disturbance=settings.disturbance)
+
+    trace = _as_far_as_possible(run, scene, reference)
     rollout = _rollout(motion, settings, reference, scene, trace)
     for person, time in rollout.fall_time.items():
         if time is not None:
             log.warning("person %s fell at %.2f s", person, time)
+    if rollout.ended is not None:
+        log.warning("%s", rollout.ended["why"])
     return rollout
+
+
+def _as_far_as_possible(run: Callable[[], Trace], scene: Scene, reference: Reference) -> Trace:
+    """Return the trace of a run, up to the state before the physics diverged if it does.
+
+    A trace that is shorter than the reference says so by a fact ``ended``: ``time`` s and ``why``.
+    """
+    try:
+        trace = run()
+    except SimDiverged as error:
+        trace = error.trace or _first_pose(scene, reference)
+        if error.time is None or not np.isfinite(trace.qpos).all():
+            raise
+        ended = {"time": error.time, "why": error.what}
+        return replace(trace, facts={**trace.facts, "ended": ended})
+    if len(trace.qpos) < len(reference.root) and "ended" not in trace.facts:
+        time = (len(trace.qpos) - 1) / reference.rate
+        ended = {"time": time, "why": f"the controller gave up at {time:.3f} s"}
+        return replace(trace, facts={**trace.facts, "ended": ended})
+    return trace
+
+
+def _first_pose(scene: Scene, reference: Reference) -> Trace:
+    """Return the trace of a run that never began."""
+    qpos = scene.qpos(reference.root[:1], reference.rotations[:1])
+    none = np.zeros((1, scene.model.nu)), np.zeros((1, 2, 6))
+    torque = np.zeros((1, *reference.rotations.shape[1:3]))[..., 1:]
+    return Trace(qpos, np.zeros((1, scene.model.nv)), *none, torque)
+
+
+def _at_moments(trace: Trace, steps: int) -> Trace:
+    """Return a trace that ends at a kept moment; a first state without a second is held."""
+    last = max((len(trace.qpos) - 1) // steps, 1) * steps
+    index = np.minimum(np.arange(last + 1), len(trace.qpos) - 1)
+    names = ("qpos", "qvel", "ctrl", "assist", "torque")
+    return replace(trace, **{name: getattr(trace, name)[index] for name in names})
 
 
 def _whole_moments(reference: Reference, steps: int) -> Reference:
@@ -134,8 +178,12 @@ def _rollout(
     trace: Trace,
 ) -> Rollout:
     """Return the rollout of a trace, thinned to the moments that are kept."""
-    keep = slice(None, None, settings.steps)
+    trace = _at_moments(trace, settings.steps)
+    keep = slice(0, len(trace.qpos), settings.steps)
     qpos = trace.qpos[keep]
+    frames, seconds = motion.frames, (len(qpos) - 1) / settings.rate
+    if "ended" in trace.facts:
+        frames = min(frames, max(2, int(seconds * motion.fps + 1e-9) + 1))
     metadata: dict[str, Any] = {
         "text": motion.text,
         "source": motion.source,
@@ -144,12 +192,13 @@ def _rollout(
         "interaction": motion.interaction,
         "contacts": [asdict(c) for c in motion.contacts],
         "controller": settings.controller,
-        "settings": asdict(settings),
+        "settings": plain(settings),
         "input_sha256": motion_sha256(motion),
+        "duration_s": motion.duration,
         "mujoco_version": mujoco.__version__,
         "ground_shift": list(reference.ground_shift),
-        "foot_lift": list(reference.foot_lift),
-        **trace.facts,
+        "repairs": reference.repairs,
+        **plain(trace.facts),
     }
     return Rollout(
         times=np.arange(len(qpos)) / settings.rate,
@@ -166,7 +215,7 @@ def _rollout(
         weight=np.array([b.weight for b in scene.bodies]),
         xml=scene.xml,
         fps=motion.fps,
-        frames=motion.frames,
+        frames=frames,
         metadata=metadata,
     )
 

@@ -14,13 +14,15 @@ from generator.kinematics import fit_rotations, forward_kinematics
 from generator.motion import DuetMotion, Motion
 from robots.errors import SimDiverged, SpecError
 from robots.humanoid import HumanBody
+from sim.controllers.assist import AssistController
 from sim.controllers.base import quiet_mujoco, within_effort
 from sim.fitting import fit_person
 from sim.footing import FOOT_BODIES, clear_floor, ground_shift, sole_corners
 from sim.inverse import inverse_dynamics
 from sim.reference import make_reference
 from sim.scene import GRAVITY, AssistLimits, build_scene
-from sim.track import TrackSettings, track
+from sim.score import score
+from sim.track import CONTROLLERS, TrackSettings, track
 
 ASSIST = TrackSettings(controller="assist")
 
@@ -107,11 +109,47 @@ def test_moments_cover_the_motion_whatever_its_frame_rate(make_duet):
     assert (back.frames, back.fps, back.kind) == (motion.frames, 24.0, "simulated")
 
 
-def test_absurd_speed_is_called_divergence(make_duet, move):
+def test_absurd_speed_ends_the_run_at_its_first_pose(make_duet, move):
     base = make_duet(0.3)
     away = np.arange(base.frames)[:, None, None] * [1e3, 0, 0]
-    with pytest.raises(SimDiverged, match="diverged at"):
-        track(DuetMotion(move(base.a, lambda k: k + away), base.b), settings=ASSIST)
+    rollout = track(DuetMotion(move(base.a, lambda k: k + away), base.b), settings=ASSIST)
+    assert rollout.ended is not None
+    assert rollout.ended["time"] == 0
+    assert "diverged at 0.000 s" in rollout.ended["why"]
+    assert rollout.frames == 2
+    assert np.isfinite(rollout.as_motion().keypoints).all()
+
+
+class Quitter:
+    """Stands up to a tick, and diverges or gives up there."""
+
+    def __init__(self, tick):
+        self.tick = tick
+
+    def run(self, scene, reference, progress=None, **_):
+        trace = AssistController().run(scene, reference, progress)
+        kept = {
+            name: getattr(trace, name)[: self.tick + 1]
+            for name in ("qpos", "qvel", "ctrl", "assist", "torque")
+        }
+        if self.tick % 2:  # gives up without a word
+            return replace(trace, **kept)
+        raise SimDiverged("it diverged", time=self.tick / 120, trace=replace(trace, **kept))
+
+
+@pytest.mark.parametrize(("tick", "why"), [(50, "it diverged"), (61, "gave up at 0.508 s")])
+def test_a_run_that_ends_early_keeps_what_was_simulated(make_duet, monkeypatch, tick, why):
+    monkeypatch.setitem(CONTROLLERS, "assist", lambda: Quitter(tick))
+    rollout = track(make_duet(1.0), settings=ASSIST)
+    assert rollout.ended is not None
+    assert rollout.ended["time"] == pytest.approx(tick / 120)
+    assert why in rollout.ended["why"]
+    assert rollout.times[-1] == pytest.approx(tick // 2 / 60)
+    assert rollout.frames == int(rollout.times[-1] * 30 + 1e-9) + 1
+    assert rollout.as_motion().frames == rollout.frames
+    report = score(rollout)
+    assert not report.passed
+    assert "ended_early" in {m.name for m in report.metrics if not m.passed}
 
 
 @pytest.mark.parametrize(
@@ -239,8 +277,6 @@ def test_targets_stay_within_effort():
 
 
 def test_feed_forward_beats_springs_alone(make_duet):
-    from sim.controllers.assist import AssistController
-
     reference = make_reference(make_duet(1.0), rate=120)
     scene = build_scene(reference.bodies, assist=AssistLimits())
     errors = []
