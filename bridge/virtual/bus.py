@@ -271,10 +271,12 @@ class VirtualBus:
     def _read_fast(
         self,
         now: float,
-        requests: list[tuple[int, int, int]],
-        servos: dict[int, list[VirtualServo]],
+        requests: list[Request],
+        servos: Servos,
     ) -> Timed:
         """Answer with one chained packet; it breaks off at the first servo that is not there."""
+        if 1 + sum(length + 4 for _, _, length in requests) > packets.MAX_LENGTH:
+            return []
         entries: list[tuple[int, int, bytes]] = []
         delay = 0.0
         whole = True
@@ -287,7 +289,7 @@ class VirtualBus:
             error, data = servo.read(address, length)
             entries.append((error | servo.alert, servo_id, data))
         missing = len(requests) - len(entries)
-        filler = [(0, 0, bytes(requests[-1][2]))] * missing
+        filler = [(0, 0, bytes(length)) for _, _, length in requests[-missing:]] if missing else []
         pieces = packets.fast_status(entries + filler)[: 1 + len(entries)]
         packet = b"".join(pieces) if whole or entries else b""
         self._free = max(self._free, now) + delay + self._duration(len(packet))

@@ -51,6 +51,10 @@ class Profile:
     velocity: float = 0.0
     """rad/s."""
 
+    def start(self, position: float) -> None:
+        """Begin anew, at rest, where the horn is (rad)."""
+        self.position, self.velocity = position, 0.0
+
     def step(self, goal: float, speed: float, acceleration: float, dt: float) -> None:
         """Advance by ``dt`` s; speed 0 means a step, acceleration 0 a speed without ramp."""
         distance = goal - self.position

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from bridge.servo.packets import (
     ALERT,
@@ -17,13 +16,8 @@ from bridge.servo.packets import (
     ERROR_RESULT,
 )
 from bridge.servo.registers import (
-    ACCELERATION_UNIT,
     EXTENDED_RANGE,
-    MODE_CURRENT,
-    MODE_CURRENT_POSITION,
     MODE_POSITION,
-    MODE_PWM,
-    MODE_VELOCITY,
     POSITION_UNIT,
     PWM_FULL,
     TICKS_PER_TURN,
@@ -32,20 +26,21 @@ from bridge.servo.registers import (
     WATCHDOG_UNIT,
     ControlTable,
 )
+from bridge.virtual.drive import (
+    REVERSE,
+    TIME_BASED,
+    TORQUE_BY_GOAL,
+    WATCHDOG_TRIPPED,
+    Drive,
+    DriveSettings,
+)
 from bridge.virtual.memory import Memory
-from bridge.virtual.motor import RESISTANCE_DROP, STEP, Motor, Profile
-
-REVERSE = 0x01
-TIME_BASED = 0x04
-TORQUE_BY_GOAL = 0x08
-"""Bits of Drive Mode."""
+from bridge.virtual.motor import RESISTANCE_DROP, STEP
 
 OVERLOAD_TIME = 2.0
 """s of (nearly) stall current after which the overload bit is set."""
 BOOT_TIME = 0.2
 """s without an answer after a reboot."""
-WATCHDOG_TRIPPED = -1
-"""Value of Bus Watchdog once it has stopped the servo."""
 
 GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
 RESET_BY_MODE = (
@@ -54,23 +49,6 @@ RESET_BY_MODE = (
     *("profile_acceleration", "profile_velocity", "goal_pwm", "goal_current"),
 )
 """Registers that return to their defaults when the operating mode changes."""
-
-
-@dataclass(slots=True)
-class _Settings:
-    """Registers the motion needs at every step, decoded once per write."""
-
-    torque: bool
-    mode: int
-    goal: float
-    speed: float
-    acceleration: float
-    p: int
-    i: int
-    limit: float
-    goal_current: float
-    goal_velocity: float
-    watchdog: float
 
 
 class VirtualServo:
@@ -105,8 +83,8 @@ class VirtualServo:
         self.memory = Memory(table)
         self.memory.set("id", servo_id)
         self.memory.set("baud_rate", baud_index)
-        self.motor = Motor(table.no_load_speed, angle=angle)
-        self.profile = Profile()
+        self.drive = Drive(table, angle)
+        self.motor, self.profile = self.drive.motor, self.drive.profile
         self.supply = table.voltage
         """V at the connector; tests may change it."""
         self.load = load
@@ -115,7 +93,6 @@ class VirtualServo:
         """Time before which it does not answer."""
         self._time = 0.0
         self._heard = 0.0
-        self._still = False
         self._overload = 0.0
         last = table["present_position"].end
         self._fast_block = (last - 10, last)
@@ -157,8 +134,7 @@ class VirtualServo:
         for name, value in writes:
             self._apply(name, value)
         if len(writes) == 1 and writes[0][0] == "goal_position" and self._plain_goals:
-            self._settings.goal = self._angle(writes[0][1])
-            self._still = False
+            self.drive.aim(self._angle(writes[0][1]))
         else:
             self._reload()
         return 0
@@ -218,7 +194,7 @@ class VirtualServo:
         """Put the horn somewhere by hand, rad from tick 2048."""
         self.motor.angle = angle
         self.motor.brake()
-        self._still = False
+        self.drive.wake()
 
     def trip(self, bit: int) -> None:
         """Set a bit of Hardware Error Status, and torque off if Shutdown asks for it."""
@@ -235,9 +211,8 @@ class VirtualServo:
 
     def advance(self, now: float) -> None:
         """Let time pass until ``now`` s, on a fixed grid of steps."""
-        settings = self._settings
-        if settings.torque and settings.watchdog > 0:
-            deadline = self._heard + settings.watchdog
+        if self.drive.settings.torque and self._watchdog > 0:
+            deadline = self._heard + self._watchdog
             if now > deadline:
                 self._run(deadline)
                 self._trip_watchdog()
@@ -303,11 +278,11 @@ class VirtualServo:
             if value == MODE_POSITION:
                 self._one_turn()
         elif name == "torque_enable" and value and not before:
-            self.profile = Profile(self.motor.angle)
+            self.profile.start(self.motor.angle)
             self.motor.error_sum = 0.0
         elif name == "goal_position" and self.memory.get("drive_mode") & TORQUE_BY_GOAL:
             if not (self.memory.get("torque_enable") or self._latched):
-                self.profile = Profile(self.motor.angle)
+                self.profile.start(self.motor.angle)
                 self.memory.set("torque_enable", 1)
         elif name == "bus_watchdog" and value:
             self._heard = self._time
@@ -319,40 +294,9 @@ class VirtualServo:
         self.id, self._shadow, self.baud_index = get("id"), get("shadow_id"), get("baud_rate")
         self._voltages = (get("min_voltage_limit"), get("max_voltage_limit"))
         self._hottest = get("temperature_limit")
-        goal = self._angle(get("goal_position"))
-        speed = get("profile_velocity") * VELOCITY_UNIT
-        acceleration = get("profile_acceleration") * ACCELERATION_UNIT
-        if get("drive_mode") & TIME_BASED:  # duration and ramp in ms instead
-            duration, ramp = get("profile_velocity") / 1e3, get("profile_acceleration") / 1e3
-            ramp = min(ramp, duration / 2)
-            distance = abs(goal - self.profile.position)
-            speed = distance / (duration - ramp) if duration > 0 else 0.0
-            acceleration = speed / ramp if ramp > 0 else 0.0
-        tripped = get("bus_watchdog") == WATCHDOG_TRIPPED
         self._plain_goals = not get("drive_mode") & (TIME_BASED | TORQUE_BY_GOAL)
-        if tripped:
-            speed = acceleration = 0.0
-        mode = get("operating_mode")
-        limit = (
-            get("pwm_limit") if mode == MODE_PWM else min(abs(get("goal_pwm")), get("pwm_limit"))
-        )
-        current = 1.0
-        if "goal_current" in self.table and self.table.current_unit:
-            current = get("goal_current") * self.table.current_unit / self.table.stall_current
-        self._settings = _Settings(
-            torque=bool(get("torque_enable")),
-            mode=mode,
-            goal=goal,
-            speed=speed,
-            acceleration=acceleration,
-            p=get("position_p_gain"),
-            i=get("position_i_gain"),
-            limit=limit / PWM_FULL,
-            goal_current=current,
-            goal_velocity=get("goal_velocity") * VELOCITY_UNIT,
-            watchdog=max(0, get("bus_watchdog")) * WATCHDOG_UNIT,
-        )
-        self._still = False
+        self._watchdog = max(0, get("bus_watchdog")) * WATCHDOG_UNIT
+        self.drive.use(DriveSettings.of(memory, self._angle(get("goal_position")), self.profile))
 
     def _trip_watchdog(self) -> None:
         """Stop where the horn is, until the watchdog is cleared."""
@@ -360,7 +304,7 @@ class VirtualServo:
         self.memory.set("bus_watchdog", WATCHDOG_TRIPPED)
         self.memory.set("goal_position", self._ticks(self.motor.angle))
         self.memory.set("goal_velocity", 0)
-        self.profile = Profile(self.motor.angle)
+        self.profile.start(self.motor.angle)
         self._reload()
 
     def _run(self, now: float) -> None:
@@ -368,49 +312,9 @@ class VirtualServo:
         steps = int((now - self._time) / STEP + 1e-9)
         if steps <= 0:
             return
-        if self._still:
-            self.motor.rest(steps * STEP)
-        else:
-            for left in range(steps, 0, -1):
-                before = self.motor.angle
-                self._step()
-                if (
-                    abs(self.motor.angle - before) < 1e-9
-                    and abs(self.motor.velocity) < 1e-7
-                    and self.profile.velocity == 0.0
-                    and self.load is None
-                    and self.motor.error_sum == 0.0
-                ):
-                    self._still = True
-                    self.motor.rest((left - 1) * STEP)
-                    break
+        self.drive.run(steps, self.supply, self.load)
         self._time += steps * STEP
         self._protect(steps * STEP)
-
-    def _step(self) -> None:
-        settings, motor = self._settings, self.motor
-        if not settings.torque:
-            motor.coast(STEP)
-            return
-        sag = 1 - RESISTANCE_DROP * min(1.0, abs(motor.current))
-        supply = self.supply * sag / self.table.voltage
-        load = self.load(motor.angle) if self.load else 0.0
-        mode, limit = settings.mode, settings.limit
-        if mode == MODE_PWM:
-            duty = self.memory.get("goal_pwm") / PWM_FULL
-        elif mode == MODE_VELOCITY:
-            duty = settings.goal_velocity / (motor.no_load_speed * supply)
-        elif mode == MODE_CURRENT:
-            duty = (settings.goal_current + motor.velocity / motor.no_load_speed) / supply
-        else:
-            profile = self.profile
-            profile.step(settings.goal, settings.speed, settings.acceleration, STEP)
-            duty = motor.control(profile.position - motor.angle, settings.p, settings.i, limit)
-            if mode == MODE_CURRENT_POSITION:
-                most = abs(settings.goal_current)
-                back = motor.velocity / motor.no_load_speed
-                duty = max((back - most) / supply, min((back + most) / supply, duty))
-        motor.drive(max(-limit, min(limit, duty)), supply, load, STEP)
 
     def _protect(self, elapsed: float) -> None:
         """Set hardware errors that the state calls for."""
@@ -431,7 +335,7 @@ class VirtualServo:
         error = memory.get("goal_position") - memory.get("present_position")
         moving = abs(speed) > memory.get("moving_threshold")
         arrived = abs(error) <= 4
-        running = self._settings.torque and self.profile.velocity != 0
+        running = self.drive.settings.torque and self.profile.velocity != 0
         memory.set("present_pwm", round(sign * motor.duty * PWM_FULL))
         sag = 1 - RESISTANCE_DROP * min(1.0, abs(motor.current))
         memory.set("present_input_voltage", round(self.supply * sag / VOLTAGE_UNIT))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from bridge.servo import packets
@@ -217,7 +217,9 @@ def test_a_planned_hardware_error_comes_once():
 
 @settings(max_examples=100, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=30)), max_size=8))
+@example([(packets.FAST_SYNC_READ, b"\x00\x00\x00\x80\x00\x00")])
 def test_no_instruction_raises(messages):
+    """Two servos asked for 32768 bytes each once overflowed the chained answer's length."""
     wire = bus(1, 2)
     for index, (code, params) in enumerate(messages):
         for servo_id in (1, packets.BROADCAST):

@@ -1,0 +1,163 @@
+"""What moves a virtual servo's horn: the registers in force, the profile and the motor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from bridge.servo.registers import (
+    ACCELERATION_UNIT,
+    MODE_CURRENT,
+    MODE_CURRENT_POSITION,
+    MODE_PWM,
+    MODE_VELOCITY,
+    PWM_FULL,
+    VELOCITY_UNIT,
+    ControlTable,
+)
+from bridge.virtual.memory import Memory
+from bridge.virtual.motor import RESISTANCE_DROP, STEP, Motor, Profile
+
+REVERSE = 0x01
+TIME_BASED = 0x04
+TORQUE_BY_GOAL = 0x08
+"""Bits of Drive Mode."""
+WATCHDOG_TRIPPED = -1
+"""Value of Bus Watchdog once it has stopped the servo."""
+
+
+@dataclass(slots=True)
+class DriveSettings:
+    """Registers that the motion needs at every step, decoded once per write."""
+
+    torque: bool
+    """Whether torque is on."""
+    mode: int
+    """Operating mode."""
+    goal: float
+    """rad of the horn."""
+    speed: float
+    """Of the profile, rad/s; 0 for a step."""
+    acceleration: float
+    """Of the profile, rad/s^2; 0 for a speed without ramp."""
+    p: int
+    """Position P gain."""
+    i: int
+    """Position I gain."""
+    limit: float
+    """Largest duty, share of the supply."""
+    duty: float
+    """Goal PWM, share of the supply."""
+    goal_current: float
+    """Share of stall current."""
+    goal_velocity: float
+    """rad/s."""
+
+    @classmethod
+    def of(cls, memory: Memory, goal: float, profile: Profile) -> DriveSettings:
+        """Decode registers; ``goal`` is Goal Position as rad of the horn."""
+        get, table = memory.get, memory.table
+        speed = get("profile_velocity") * VELOCITY_UNIT
+        acceleration = get("profile_acceleration") * ACCELERATION_UNIT
+        if get("drive_mode") & TIME_BASED:  # duration and ramp in ms instead
+            duration, ramp = get("profile_velocity") / 1e3, get("profile_acceleration") / 1e3
+            ramp = min(ramp, duration / 2)
+            distance = abs(goal - profile.position)
+            speed = distance / (duration - ramp) if duration > 0 else 0.0
+            acceleration = speed / ramp if ramp > 0 else 0.0
+        if get("bus_watchdog") == WATCHDOG_TRIPPED:
+            speed = acceleration = 0.0
+        mode, limit = get("operating_mode"), get("pwm_limit")
+        current = 1.0
+        if "goal_current" in table and table.current_unit:
+            current = get("goal_current") * table.current_unit / table.stall_current
+        return cls(
+            torque=bool(get("torque_enable")),
+            mode=mode,
+            goal=goal,
+            speed=speed,
+            acceleration=acceleration,
+            p=get("position_p_gain"),
+            i=get("position_i_gain"),
+            limit=(limit if mode == MODE_PWM else min(abs(get("goal_pwm")), limit)) / PWM_FULL,
+            duty=get("goal_pwm") / PWM_FULL,
+            goal_current=current,
+            goal_velocity=get("goal_velocity") * VELOCITY_UNIT,
+        )
+
+
+class Drive:
+    """A horn with motor and profile, run in fixed steps."""
+
+    settings: DriveSettings
+
+    def __init__(self, table: ControlTable, angle: float) -> None:
+        """Put the horn at an angle, rad; call :meth:`use` before :meth:`run`."""
+        self.motor = Motor(table.no_load_speed, angle=angle)
+        self.profile = Profile()
+        self._voltage = table.voltage
+        self._still = False
+
+    def use(self, settings: DriveSettings) -> None:
+        """Follow other settings."""
+        self.settings = settings
+        self._still = False
+
+    def aim(self, goal: float) -> None:
+        """Follow another goal, rad."""
+        self.settings.goal = goal
+        self._still = False
+
+    def wake(self) -> None:
+        """Note that something outside has moved the horn."""
+        self._still = False
+
+    def run(self, steps: int, supply: float, load: Callable[[float], float] | None) -> None:
+        """Integrate some steps.
+
+        Args:
+            steps: Of :data:`~bridge.virtual.motor.STEP` each.
+            supply: V at the connector.
+            load: Torque against positive motion as share of stall torque, from the angle in rad.
+        """
+        if self._still:
+            self.motor.rest(steps * STEP)
+            return
+        for left in range(steps, 0, -1):
+            before = self.motor.angle
+            self._step(supply, load)
+            if (
+                abs(self.motor.angle - before) < 1e-9
+                and abs(self.motor.velocity) < 1e-7
+                and self.profile.velocity == 0.0
+                and load is None
+                and self.motor.error_sum == 0.0
+            ):
+                self._still = True
+                self.motor.rest((left - 1) * STEP)
+                break
+
+    def _step(self, supply: float, load: Callable[[float], float] | None) -> None:
+        settings, motor = self.settings, self.motor
+        if not settings.torque:
+            motor.coast(STEP)
+            return
+        sag = 1 - RESISTANCE_DROP * min(1.0, abs(motor.current))
+        supply = supply * sag / self._voltage
+        torque = load(motor.angle) if load else 0.0
+        mode, limit = settings.mode, settings.limit
+        if mode == MODE_PWM:
+            duty = settings.duty
+        elif mode == MODE_VELOCITY:
+            duty = settings.goal_velocity / (motor.no_load_speed * supply)
+        elif mode == MODE_CURRENT:
+            duty = (settings.goal_current + motor.velocity / motor.no_load_speed) / supply
+        else:
+            profile = self.profile
+            profile.step(settings.goal, settings.speed, settings.acceleration, STEP)
+            duty = motor.control(profile.position - motor.angle, settings.p, settings.i, limit)
+            if mode == MODE_CURRENT_POSITION:
+                most = abs(settings.goal_current)
+                back = motor.velocity / motor.no_load_speed
+                duty = max((back - most) / supply, min((back + most) / supply, duty))
+        motor.drive(max(-limit, min(limit, duty)), supply, torque, STEP)
