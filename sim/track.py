@@ -17,6 +17,8 @@ from robots.files import plain
 from robots.skeleton import FloatArray
 from sim.controllers.assist import AssistController
 from sim.controllers.base import Controller, Progress, Trace
+from sim.controllers.ilqr.controller import IlqrController
+from sim.controllers.ilqr.settings import IlqrSettings
 from sim.disturbance import NONE, Disturbance
 from sim.reference import Reference, make_reference
 from sim.rollout import Rollout, motion_sha256
@@ -24,8 +26,14 @@ from sim.scene import AssistLimits, Scene, build_scene
 
 log = logging.getLogger(__name__)
 
-CONTROLLERS: dict[str, Callable[[], Controller]] = {"assist": AssistController}
-"""What ``TrackSettings.controller`` may name."""
+CONTROLLERS: dict[str, Callable[[TrackSettings], Controller]] = {
+    "ilqr": lambda settings: IlqrController(settings=settings.ilqr),
+    "assist": lambda settings: AssistController(),
+}
+"""What ``TrackSettings.controller`` may name, and how to make it."""
+
+_STEPS = {"assist": 2}
+"""Steps per kept moment of controllers that do not take one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,16 +44,17 @@ class TrackSettings:
         SpecError: A value makes no sense.
     """
 
-    controller: str = "assist"
+    controller: str = "ilqr"
     """One of :data:`CONTROLLERS`."""
     rate: float = 60.0
     """Moments per second that the rollout keeps."""
-    steps: int = 2
-    """Integration and control steps per kept moment."""
+    steps: int = 0
+    """Integration and control steps per kept moment; 0 takes what suits the controller."""
     smoothing: float = 0.02
     """Standard deviation of the low-pass on the reference, s."""
-    assist: AssistLimits = field(default_factory=AssistLimits)
-    """Strength of the hand that helps each pelvis."""
+    assist: AssistLimits | None = None
+    """Strength of the hand that helps each pelvis. ``None`` suits the controller: the defaults for
+    ``assist``, and no hand for those that keep the balance themselves."""
     self_collision: bool = False
     """Whether a person's limbs collide with its own others."""
     weights: tuple[float | None, float | None] = (None, None)
@@ -53,8 +62,19 @@ class TrackSettings:
     disturbance: Disturbance = NONE
     """What the simulated world has otherwise than the controller believes."""
 
+    seed: int = 0
+    """Of controllers that draw random numbers."""
+    ilqr: IlqrSettings = field(default_factory=IlqrSettings)
+    """How ``ilqr`` plans."""
+
     def __post_init__(self) -> None:
-        """Validate."""
+        """Fill in what depends on the controller, and validate."""
+        if self.steps == 0:
+            object.__setattr__(self, "steps", _STEPS.get(self.controller, 1))
+        if self.assist is None:
+            none = AssistLimits(max_force=0, max_torque=0)
+            suits = AssistLimits() if self.controller == "assist" else none
+            object.__setattr__(self, "assist", suits)
         if self.controller not in CONTROLLERS:
             raise SpecError(
                 f"no controller '{self.controller}'",
@@ -96,13 +116,14 @@ def track(
         motion, rate=step_rate, smoothing=settings.smoothing, weights=settings.weights
     )
     reference = _whole_moments(reference, settings.steps)
+    helped = settings.assist
     scene = build_scene(
         reference.bodies,
         timestep=1 / step_rate,
-        assist=settings.assist if settings.assist.max_force or settings.assist.max_torque else None,
+        assist=helped if helped and (helped.max_force or helped.max_torque) else None,
         self_collision=settings.self_collision,
     )
-    controller = CONTROLLERS[settings.controller]()
+    controller = CONTROLLERS[settings.controller](settings)
 
     def run() -> Trace:
         return controller.run(scene, reference, progress, disturbance=settings.disturbance)

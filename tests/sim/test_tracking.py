@@ -139,7 +139,7 @@ class Quitter:
 
 @pytest.mark.parametrize(("tick", "why"), [(50, "it diverged"), (61, "gave up at 0.508 s")])
 def test_a_run_that_ends_early_keeps_what_was_simulated(make_duet, monkeypatch, tick, why):
-    monkeypatch.setitem(CONTROLLERS, "assist", lambda: Quitter(tick))
+    monkeypatch.setitem(CONTROLLERS, "assist", lambda _: Quitter(tick))
     rollout = track(make_duet(1.0), settings=ASSIST)
     assert rollout.ended is not None
     assert rollout.ended["time"] == pytest.approx(tick / 120)

@@ -1,0 +1,273 @@
+"""Two people on their own feet: a plan each, feedback between plans, and a second try after a fall.
+
+**The problem.** A plan half a second long can lead where no next plan keeps the balance. By then it
+is too late to plan better, but this is a simulation: it goes back to before the trouble and plans
+anew, more often and with more sweeps, with fresh derivatives, until it is past. What was tried and
+how often is part of the result.
+"""
+
+from __future__ import annotations
+
+import logging
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from generator.kinematics import from_wxyz
+from robots.humanoid import body_plan
+from robots.skeleton import FloatArray
+from sim.controllers.base import Progress, Trace, quiet_mujoco, reference_qvel
+from sim.controllers.ilqr.cost import TrackingCost
+from sim.controllers.ilqr.person import PersonModel, person_model
+from sim.controllers.ilqr.planner import Planner
+from sim.controllers.ilqr.settings import IlqrSettings
+from sim.controllers.ilqr.touch import find_touches
+from sim.disturbance import NONE, Disturbance
+from sim.inverse import inverse_dynamics
+from sim.reference import Reference
+from sim.rollout import FALL_DISTANCE
+from sim.scene import Scene
+from sim.simulation import Simulation, Snapshot
+
+log = logging.getLogger(__name__)
+
+TROUBLE = 0.3
+"""A person whose keypoints are further than this, m, from the reference on average is lost: time to
+go back."""
+_KEEP = 0.25
+"""Time between states to go back to, s."""
+_BACK, _BACK_MORE = 0.7, 0.5
+"""How far to go back, s, and how much further with every failure at the same place."""
+_PAST = 0.5
+"""How long after the trouble the extra effort lasts, s."""
+_AFTER_FALL = 0.5
+"""How long a fall is shown before the run ends, s."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Waypoint:
+    """A state to go back to, and the plans that were in force."""
+
+    snapshot: Snapshot
+    plans: tuple[Any, Any]
+
+
+@dataclass(slots=True)
+class _Recovery:
+    """What is known about failures so far."""
+
+    waypoints: list[_Waypoint] = field(default_factory=list)
+    events: list[dict[str, Any]] = field(default_factory=list)
+    tries: dict[int, int] = field(default_factory=dict)
+    """Failures per half second of the reference."""
+    until: int = -1
+    """Tick up to which extra effort is made."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IlqrController:
+    """Receding-horizon iLQR for each person, with the partner as a moving ghost."""
+
+    settings: IlqrSettings = field(default_factory=IlqrSettings)
+    name: str = "ilqr"
+
+    def run(
+        self,
+        scene: Scene,
+        reference: Reference,
+        progress: Progress | None = None,
+        *,
+        disturbance: Disturbance = NONE,
+    ) -> Trace:
+        """Simulate the reference; see :class:`sim.controllers.base.Controller`.
+
+        Ends early, half a second after a person fell whom no recovery saved; ``facts["ended"]``
+        then says so.
+        """
+        with quiet_mujoco(), ThreadPoolExecutor(self.settings.threads) as pool:
+            return _Run(self.settings, scene, reference, disturbance, pool).to_end(progress)
+
+
+class _Run:
+    """One run: both planners, the simulation, and the way back."""
+
+    def __init__(
+        self,
+        settings: IlqrSettings,
+        scene: Scene,
+        reference: Reference,
+        disturbance: Disturbance,
+        pool: ThreadPoolExecutor,
+    ) -> None:
+        self.settings, self.scene, self.reference = settings, scene, reference
+        self.pool = pool
+        self.simulation = Simulation(scene, reference, disturbance)
+        self.goal = scene.qpos(reference.root, reference.rotations)
+        self.goal_keypoints = scene.keypoints(self.goal)
+        self.people = [person_model(scene, p, ghost=settings.ghost) for p in range(2)]
+        self.planners = _planners(settings, scene, reference, self.goal, self.people)
+        self.recovery = _Recovery()
+        self.fallen: int | None = None
+
+    def to_end(self, progress: Progress | None) -> Trace:
+        """Run, and return what happened."""
+        simulation, rate = self.simulation, self.reference.rate
+        last = len(self.reference.root) - 1
+        while not simulation.done:
+            if simulation.tick % round(_KEEP * rate) == 0:
+                self._keep()
+            if self._lost(TROUBLE) and self._go_back():
+                continue
+            if self.fallen is None and self._lost(FALL_DISTANCE):
+                self.fallen = simulation.tick
+            if self.fallen is not None and simulation.tick >= self.fallen + _AFTER_FALL * rate:
+                break
+            self._advance()
+            if progress is not None:
+                progress(simulation.tick / last)
+        return replace(simulation.trace(), facts=self._facts())
+
+    def _advance(self) -> None:
+        """Plan where it is time to, set the controls, and step."""
+        simulation, data, tick = self.simulation, self.simulation.data, self.simulation.tick
+        hard = tick < self.recovery.until
+        every = max(1, self.settings.replan // 2) if hard else self.settings.replan
+        if tick % every == 0 or any(planner.expired(tick) for planner in self.planners):
+            if not hard and self.recovery.until >= 0:
+                self._relax()
+            forecasts = [planner.forecast(tick) for planner in self.planners]
+            states = [
+                (data.qpos[m.qpos], data.qvel[m.qvel], data.qacc_warmstart[m.qvel])
+                for m in self.people
+            ]
+
+            def plan(p: int) -> None:
+                self.planners[p].plan(tick, *states[p], forecasts[1 - p])
+
+            list(self.pool.map(plan, range(2)))
+        for p, (person, planner) in enumerate(zip(self.people, self.planners, strict=True)):
+            control = planner.control(tick, data.qpos[person.qpos], data.qvel[person.qvel])
+            data.ctrl[self.scene.maps[p].targets.reshape(-1)] = control
+        simulation.step()
+
+    def _lost(self, distance: float) -> bool:
+        """Return whether a person is further than this, m, from its goal on average."""
+        now = self.scene.keypoints(self.simulation.data.qpos[None])[0]
+        off = np.linalg.norm(now - self.goal_keypoints[self.simulation.tick], axis=-1)
+        return bool((off.mean(axis=-1) > distance).any())
+
+    def _keep(self) -> None:
+        plans = self.planners[0].state, self.planners[1].state
+        self.recovery.waypoints.append(_Waypoint(self.simulation.snapshot(), plans))
+
+    def _go_back(self) -> bool:
+        """Return to before the trouble with more effort; False if that was tried often enough."""
+        recovery, rate, tick = self.recovery, self.reference.rate, self.simulation.tick
+        if len(recovery.events) >= self.settings.recovery or self.fallen is not None:
+            return False
+        place = int(tick / (0.5 * rate))
+        again = recovery.tries.get(place, 0)
+        recovery.tries[place] = again + 1
+        target = tick - (_BACK + _BACK_MORE * again) * rate
+        while len(recovery.waypoints) > 1 and recovery.waypoints[-1].snapshot.tick > target:
+            recovery.waypoints.pop()
+        waypoint = recovery.waypoints.pop()
+        self.simulation.restore(waypoint.snapshot)
+        recovery.until = tick + round(_PAST * rate)
+        to = waypoint.snapshot.tick / rate
+        recovery.events.append({"lost_at": tick / rate, "back_to": to, "iterations": 3 + again})
+        log.info("lost the balance at %.2f s: back to %.2f s", tick / rate, to)
+        for planner, plan in zip(self.planners, waypoint.plans, strict=True):
+            planner.state = plan
+            planner.iterations = 3 + again
+            planner.derivatives.tolerance = 0.0
+            planner.regularisation = self.settings.regularisation * (10 if again % 2 else 1)
+        return True
+
+    def _relax(self) -> None:
+        """Return to the ordinary effort."""
+        self.recovery.until = -1
+        for planner in self.planners:
+            planner.iterations = self.settings.iterations
+            planner.derivatives.tolerance = self.settings.cache
+            planner.regularisation = self.settings.regularisation
+
+    def _facts(self) -> dict[str, Any]:
+        asked = sum(planner.derivatives.asked for planner in self.planners)
+        taken = sum(planner.derivatives.taken for planner in self.planners)
+        repaired = sum(planner.derivatives.repaired for planner in self.planners)
+        facts: dict[str, Any] = {
+            "recoveries": self.recovery.events,
+            "derivatives": {"asked": asked, "taken": taken, "repaired": repaired},
+        }
+        if self.fallen is not None:
+            time = self.fallen / self.reference.rate
+            facts["ended"] = {
+                "time": self.simulation.tick / self.reference.rate,
+                "why": f"a person fell at {time:.2f} s, {len(self.recovery.events)} recoveries",
+            }
+        return facts
+
+
+def _planners(
+    settings: IlqrSettings,
+    scene: Scene,
+    reference: Reference,
+    goal: NDArray,
+    people: list[PersonModel],
+) -> list[Planner]:
+    """Return the planners of both people."""
+    speed = reference_qvel(scene, reference)
+    nominal = _nominal(scene, reference, settings.feed_forward)
+    poses = [person.poses(goal[:, person.qpos]) for person in people]
+    touches = find_touches(scene.bodies, poses, reference.contacts, reference.rate)
+    out = []
+    for p, person in enumerate(people):
+        cost = TrackingCost(person, goal[:, person.qpos], speed[:, person.qvel], settings.weights)
+        body = person.body
+        reach = [body.effort(n) / body.stiffness(n) for n in body.skeleton.names[1:]]
+        out.append(
+            Planner(
+                person,
+                cost,
+                nominal[:, p],
+                np.repeat(settings.effort_factor * np.array(reach), 3),
+                settings,
+                rate=reference.rate,
+                touches=touches[p],
+            )
+        )
+    return out
+
+
+def _nominal(scene: Scene, reference: Reference, feed_forward: float) -> FloatArray:
+    """Return joint targets ``[N-1, 2, 3 (J-1)]`` that follow the reference if nothing disturbs.
+
+    The pose at the end of the step, ahead by what the damper brakes and by what torque it takes.
+    """
+    _, angular = reference.steps()
+    ahead = angular[:, :, 1:] * body_plan().damping_ratio
+    if feed_forward > 0:
+        stiffness = np.array([[b.stiffness(n) for n in b.skeleton.names[1:]] for b in scene.bodies])
+        offset = inverse_dynamics(scene, reference).torque / stiffness[..., None]
+        ahead = ahead + feed_forward * (offset[1:] + offset[:-1]) / 2
+    local = from_wxyz(reference.rotations[1:, :, 1:].reshape(-1, 4))
+    turns = (local * Rotation.from_rotvec(ahead.reshape(-1, 3))).as_rotvec()
+    return _unwrapped(turns.reshape(ahead.shape)).reshape(len(ahead), 2, -1)
+
+
+def _unwrapped(turns: NDArray) -> FloatArray:
+    """Return rotation vectors ``[N, ..., 3]`` without jumps from one turn to its complement."""
+    out = turns.copy()
+    for k in range(1, len(out)):
+        size = np.linalg.norm(out[k], axis=-1, keepdims=True)
+        other = out[k] * (1 - 2 * np.pi / np.maximum(size, 1e-9))
+        nearer = np.linalg.norm(other - out[k - 1], axis=-1, keepdims=True) < np.linalg.norm(
+            out[k] - out[k - 1], axis=-1, keepdims=True
+        )
+        out[k] = np.where(nearer & (size > 1e-6), other, out[k])
+    return out

@@ -1,0 +1,362 @@
+"""One person's plan: iLQR over joint targets, half a second ahead.
+
+**The problem.** Springs towards a reference do not balance. A plan does: it looks half a second
+ahead, sees that the pelvis will be behind the feet, and moves the targets of hips and ankles so
+that it will not be. Each plan starts from the last one shifted in time, takes the derivatives of
+the physics along it, solves the linear-quadratic problem they make by one backward pass, and tries
+the result in the physics with a few step lengths. The gains of the backward pass correct the
+controls at every tick until the next plan.
+
+Y. Tassa, T. Erez, E. Todorov, "Synthesis and Stabilization of Complex Behaviors through Online
+Trajectory Optimization", IROS 2012; for whole bodies with these derivatives: J. Zhang et al.,
+"Whole-Body Model-Predictive Control of Legged Robots with MuJoCo", arXiv 2503.04613.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import get_lapack_funcs
+
+from robots.skeleton import FloatArray
+from sim.controllers.ilqr.cost import TrackingCost
+from sim.controllers.ilqr.knots import KnotDerivatives, Path, touching
+from sim.controllers.ilqr.person import PersonModel
+from sim.controllers.ilqr.settings import IlqrSettings
+from sim.controllers.ilqr.touch import Touch
+
+_factorise, _solve = get_lapack_funcs(("potrf", "potrs"), dtype=np.float64)
+
+_STEP_LENGTHS = (1.0, 0.5, 0.2, 0.05)
+_TAIL = 0.8
+"""Share of the last planned offset that a new plan's unplanned tail starts with."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Forecast:
+    """Where a person's bodies will be, by its own plan."""
+
+    positions: FloatArray
+    """``[H+1, J, 3]`` m."""
+    turns: FloatArray
+    """``[H+1, J, 4]`` wxyz."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Goal:
+    """Where a touching point is to be, along one plan."""
+
+    touch: Touch
+    target: FloatArray
+    """``[H+1, 3]`` m."""
+    weight: FloatArray
+    """``[H+1]`` 1/m2."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Plan:
+    start: int
+    path: Path
+    gains: FloatArray
+    """``[H, nu, 2 nv]``."""
+
+
+class Planner:
+    """Plans for one person. Not thread-safe; one each."""
+
+    def __init__(
+        self,
+        person: PersonModel,
+        cost: TrackingCost,
+        nominal: NDArray,
+        limit: NDArray,
+        settings: IlqrSettings,
+        *,
+        rate: float,
+        touches: Sequence[Touch] = (),
+        guide: Callable[[Any, int], None] | None = None,
+    ) -> None:
+        """Prepare.
+
+        Args:
+            person: Who plans.
+            cost: What to keep small.
+            nominal: ``[N, nu]`` targets that follow the reference if nothing disturbs.
+            limit: ``[nu]`` rad, how far controls may be from them.
+            settings: How to plan.
+            rate: Ticks per second.
+            touches: Points to meet the partner with.
+            guide: Sets the root assist in ``mujoco.MjData`` for a tick.
+        """
+        self.person, self.cost = person, cost
+        self.horizon = max(2, round(settings.horizon * rate))
+        self.iterations, self.regularisation = settings.iterations, settings.regularisation
+        self.derivatives = KnotDerivatives(person, settings.cache, exact=settings.exact)
+        self._settings, self._touches, self._guide = settings, touches, guide
+        self._nominal, self._limit = nominal, limit
+        self._data = mujoco.MjData(person.model)
+        self._plan: _Plan | None = None
+        self._partner: Forecast | None = None
+        self._start = 0
+
+    @property
+    def state(self) -> Any:
+        """The present plan, to come back to; opaque."""
+        return self._plan
+
+    @state.setter
+    def state(self, plan: Any) -> None:
+        self._plan = plan
+        self.derivatives.forget()
+
+    def expired(self, tick: int) -> bool:
+        """Return whether no plan covers a tick."""
+        return self._plan is None or tick - self._plan.start >= self.horizon
+
+    def forecast(self, tick: int) -> Forecast:
+        """Return where this person's bodies will be from a tick on, by its last plan."""
+        states = np.empty((self.horizon + 1, self.person.model.nq))
+        for h in range(self.horizon + 1):
+            known = self._plan is not None and 0 <= tick + h - self._plan.start <= self.horizon
+            if known and self._plan is not None:
+                states[h] = self._plan.path.qpos[tick + h - self._plan.start]
+            else:
+                states[h] = self.cost.qpos[self.cost.clip(tick + h)]
+        return Forecast(*self.person.poses(states))
+
+    def plan(
+        self,
+        tick: int,
+        qpos: NDArray,
+        qvel: NDArray,
+        warmstart: NDArray,
+        partner: Forecast | None = None,
+    ) -> None:
+        """Plan from a state at a tick.
+
+        Args:
+            tick: Of the reference.
+            qpos: ``[nq]`` of the person.
+            qvel: ``[nv]`` of the person.
+            warmstart: ``[nv]`` acceleration that the constraint solver starts from.
+            partner: Where the partner will be.
+        """
+        self._start, self._partner = tick, partner
+        state = np.array(qpos), np.array(qvel), np.array(warmstart)
+        goals = self._goals(tick)
+        path, gains = self._first(tick, state, goals)
+        strength = self.regularisation
+        for _ in range(self.iterations):
+            slopes = self.derivatives.along(tick, path, self._prepare)
+            solved = self._backward(tick, path, slopes, goals, strength)
+            if solved is None:
+                break
+            gains, step = solved
+            for length in _STEP_LENGTHS:
+                better = self._roll(tick, state, path, goals, gains, length * step)
+                if better.cost < path.cost:
+                    path = better
+                    break
+            else:
+                strength *= 10
+        self._plan = _Plan(tick, path, gains)
+
+    def control(self, tick: int, qpos: NDArray, qvel: NDArray) -> FloatArray:
+        """Return the joint targets ``[nu]`` of a tick, corrected for where the person is."""
+        if self._plan is None:
+            raise RuntimeError("control before the first plan")
+        h, path = tick - self._plan.start, self._plan.path
+        control = path.control[h]
+        if self._settings.feedback:
+            off = self._off(path, h, qpos, qvel)
+            control = control + self._plan.gains[h] @ off
+        return self._bounded(tick, control)
+
+    def _first(self, tick: int, state: tuple, goals: Sequence[_Goal]) -> tuple[Path, FloatArray]:
+        """Return the last plan, carried on to the new horizon and tried from the new state."""
+        H, nv = self.horizon, self.person.nv
+        ticks = [self.cost.clip(tick + h) for h in range(H)]
+        gains = np.zeros((H, self.person.nu, 2 * nv))
+        nominal = self._nominal[np.minimum(ticks, len(self._nominal) - 1)]
+        qpos, qvel = self.cost.qpos[ticks], self.cost.qvel[ticks]
+        control = nominal.copy()
+        if self._plan is not None and 0 <= tick - self._plan.start < H:
+            old, gone = self._plan.path, tick - self._plan.start
+            known = H - gone
+            last = min(self.cost.clip(self._plan.start + H - 1), len(self._nominal) - 1)
+            control[:known] = old.control[gone:]
+            control[known:] += _TAIL * (old.control[-1] - self._nominal[last])
+            gains[:known] = self._plan.gains[gone:]
+            qpos[:known], qvel[:known] = old.qpos[gone:H], old.qvel[gone:H]
+        guess = Path(qpos, qvel, control, np.zeros((H, nv)), [], np.inf)
+        return self._roll(tick, state, guess, goals, gains), gains
+
+    def _roll(
+        self,
+        tick: int,
+        state: tuple[FloatArray, FloatArray, FloatArray],
+        around: Path,
+        goals: Sequence[_Goal],
+        gains: NDArray,
+        step: NDArray | None = None,
+    ) -> Path:
+        """Return what comes of controls, corrected by gains for the distance from a path."""
+        person, data, H = self.person, self._data, self.horizon
+        model = person.model
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:], data.qacc_warmstart[:] = state
+        qpos, qvel = np.empty((H + 1, model.nq)), np.empty((H + 1, model.nv))
+        control, warmstart = np.empty((H, person.nu)), np.empty((H, model.nv))
+        met: list[int] = []
+        cost = 0.0
+        for h in range(H + 1):
+            qpos[h], qvel[h] = data.qpos, data.qvel
+            if h < H:
+                wanted = around.control[h] + gains[h] @ self._off(around, h, qpos[h], qvel[h])
+                if step is not None:
+                    wanted += step[h]
+                control[h] = self._bounded(tick + h, wanted)
+                off = control[h] - self._nominal[self._last(tick + h)]
+                cost += 0.5 * float(self.cost.control @ off**2)
+                warmstart[h] = data.qacc_warmstart
+                self._prepare(data, tick + h)
+                data.ctrl[person.targets] = control[h]
+                mujoco.mj_step(model, data)
+                met.append(touching(data))
+            else:
+                mujoco.mj_kinematics(model, data)
+            if h > 0:
+                share = self.cost.terminal if h == H else 1.0
+                cost += share * self._state_cost(tick + h, h, qpos[h], qvel[h], data, goals)
+        return Path(qpos, qvel, control, warmstart, met, cost if np.isfinite(cost) else 1e12)
+
+    def _state_cost(
+        self, tick: int, h: int, qpos: NDArray, qvel: NDArray, data: Any, goals: Sequence[_Goal]
+    ) -> float:
+        """Return the cost of a state, with body poses of it in ``data``."""
+        e = self.cost.error(tick, qpos, qvel)
+        cost = 0.5 * float(e @ self.cost.hessian(tick) @ e)
+        for goal in goals:
+            if goal.weight[h] > 0:
+                miss = self._point(data, goal) - goal.target[h]
+                cost += 0.5 * float(goal.weight[h] * (miss @ miss))
+        return cost
+
+    def _backward(
+        self, tick: int, path: Path, slopes: NDArray, goals: Sequence[_Goal], strength: float
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """Return gains ``[H, nu, 2 nv]`` and steps ``[H, nu]``; ``None`` if nothing helps."""
+        for _ in range(6):
+            solved = self._sweep(tick, path, slopes, goals, strength)
+            if solved is not None:
+                return solved
+            strength = max(30 * strength, 1e-2)
+            slopes = np.clip(slopes, -100, 100)
+        return None
+
+    def _sweep(
+        self, tick: int, path: Path, slopes: NDArray, goals: Sequence[_Goal], strength: float
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """Return gains and steps of one Riccati sweep; ``None`` if a Hessian is not positive."""
+        H, n, nu = self.horizon, 2 * self.person.nv, self.person.nu
+        gains, steps = np.empty((H, nu, n)), np.empty((H, nu))
+        gradient, hessian = self._expand(tick + H, H, path, goals)
+        gradient, hessian = gradient * self.cost.terminal, hessian * self.cost.terminal
+        diagonal = np.diag_indices(nu)
+        for h in range(H - 1, -1, -1):
+            slope = slopes[h]
+            both = slope.T @ (hessian @ slope)
+            along = slope.T @ gradient
+            off = path.control[h] - self._nominal[self._last(tick + h)]
+            quu, qux = both[n:, n:], both[n:, :n]
+            quu[diagonal] += self.cost.control + strength
+            qu = along[n:] + self.cost.control * off
+            factor, bad = _factorise(quu, lower=True)
+            if bad:
+                return None
+            solution, _ = _solve(factor, np.column_stack([qux, qu]), lower=True)
+            gains[h], steps[h] = -solution[:, :n], -solution[:, n]
+            gradient = along[:n] + qux.T @ steps[h]
+            hessian = both[:n, :n] + qux.T @ gains[h]
+            if h > 0:
+                own_gradient, own_hessian = self._expand(tick + h, h, path, goals)
+                gradient += own_gradient
+                hessian += own_hessian
+            hessian = 0.5 * (hessian + hessian.T)
+        return gains, steps
+
+    def _expand(
+        self, tick: int, h: int, path: Path, goals: Sequence[_Goal]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return gradient ``[2 nv]`` and Hessian ``[2 nv, 2 nv]`` of a state's cost."""
+        nv = self.person.nv
+        hessian = self.cost.hessian(tick)
+        gradient = hessian @ self.cost.error(tick, path.qpos[h], path.qvel[h])
+        goals = [g for g in goals if g.weight[h] > 0]
+        if not goals:
+            return gradient, hessian
+        model, data = self.person.model, self._data
+        data.qpos[:] = path.qpos[h]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        hessian, jacobian = hessian.copy(), np.empty((3, nv))
+        for goal in goals:
+            point = self._point(data, goal)
+            body = self.person.at.bodies[goal.touch.own.body]
+            mujoco.mj_jac(model, data, jacobian, None, point, body)
+            gradient[:nv] += goal.weight[h] * (point - goal.target[h]) @ jacobian
+            hessian[:nv, :nv] += goal.weight[h] * jacobian.T @ jacobian
+        return gradient, hessian
+
+    def _goals(self, tick: int) -> list[_Goal]:
+        """Return where touching points are to be from a tick on."""
+        partner = self._partner
+        if partner is None or not self._settings.touch:
+            return []
+        ticks = [self.cost.clip(tick + h) for h in range(self.horizon + 1)]
+        weight = self._settings.weights.touch
+        return [
+            _Goal(
+                touch,
+                touch.partner.world(partner.positions, partner.turns) + touch.offset[ticks],
+                weight * touch.weight[ticks],
+            )
+            for touch in self._touches
+            if touch.weight[ticks].any()
+        ]
+
+    def _point(self, data: Any, goal: _Goal) -> FloatArray:
+        """Return the touching point ``[3]`` m of the pose in ``data``."""
+        own = goal.touch.own
+        body = self.person.at.bodies[own.body]
+        return data.xpos[body] + data.xmat[body].reshape(3, 3) @ own.local
+
+    def _prepare(self, data: Any, tick: int) -> None:
+        """Set what of a planning model's world changes by itself."""
+        ghost = self.person.ghost
+        if len(ghost) and self._partner is not None:
+            h = tick - self._start
+            data.mocap_pos[ghost] = self._partner.positions[h]
+            data.mocap_quat[ghost] = self._partner.turns[h]
+        if self._guide is not None:
+            self._guide(data, tick)
+
+    def _off(self, path: Path, h: int, qpos: NDArray, qvel: NDArray) -> FloatArray:
+        """Return how far a state is from a path's, ``[2 nv]``."""
+        nv = self.person.nv
+        out = np.empty(2 * nv)
+        mujoco.mj_differentiatePos(self.person.model, out[:nv], 1.0, path.qpos[h], qpos)
+        np.subtract(qvel, path.qvel[h], out=out[nv:])
+        return out
+
+    def _bounded(self, tick: int, control: NDArray) -> FloatArray:
+        nominal = self._nominal[self._last(tick)]
+        return np.clip(control, nominal - self._limit, nominal + self._limit)
+
+    def _last(self, tick: int) -> int:
+        return min(tick, len(self._nominal) - 1)
