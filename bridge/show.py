@@ -26,7 +26,7 @@ CANVAS = 1024
 
 def clip_of_motion(motion: DuetMotion) -> Clip:
     """Return two bodies that move exactly as the keypoints say, without physics."""
-    reference = make_reference(motion, rate=motion.fps, smoothing=0.0, ground=False)
+    reference = make_reference(motion, rate=motion.fps, smoothing=0.0, ground=False, repair=False)
     scene = build_scene(reference.bodies)
     return Clip(
         _dressed(scene.xml),

@@ -35,7 +35,8 @@ from generator.kinematics import (
 from generator.motion import Motion
 from robots.humanoid import HumanBody
 from robots.skeleton import FloatArray, Skeleton
-from sim.footing import smoothstep, sole_corners, standing
+from sim.footing import sole_corners, standing
+from sim.repair.legs import smoothstep
 
 _OWN_ROTATIONS_ERROR = 0.02
 """Mean distance, m, up to which a motion's own rotations are believed."""

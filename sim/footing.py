@@ -12,11 +12,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
-from scipy.spatial.transform import Rotation
 
-from generator.kinematics import continuous, forward_kinematics, global_rotations, to_wxyz, unit
+from generator.kinematics import continuous, forward_kinematics, global_rotations
 from robots.humanoid import HumanBody
 from robots.skeleton import FloatArray
+from sim.repair.legs import SIDES, move_foot, smoothstep
 
 FOOT_BODIES = ("left_ankle", "left_foot", "right_ankle", "right_foot")
 """Keypoints whose bodies carry the boxes of the feet."""
@@ -80,8 +80,8 @@ def ground_shift(body: HumanBody, root: NDArray, rotations: NDArray, fps: float)
 
 def clear_floor(
     body: HumanBody, root: NDArray, rotations: NDArray, fps: float
-) -> tuple[FloatArray, float]:
-    """Return rotations ``[T, J, 4]`` whose swinging feet clear the floor, and the largest lift, m.
+) -> tuple[FloatArray, FloatArray]:
+    """Return rotations ``[T, J, 4]`` whose swinging feet clear the floor, and the lifts ``[T]`` m.
 
     Args:
         body: Whose feet.
@@ -90,8 +90,8 @@ def clear_floor(
         fps: Samples per second.
     """
     corners = sole_corners(body, root, rotations)
-    most = 0.0
-    for i, side in enumerate(("left", "right")):
+    most = np.zeros(len(root))
+    for i, side in enumerate(SIDES):
         sole = corners[:, 2 * i : 2 * i + 2].reshape(len(root), -1, 3)
         speed = np.linalg.norm(np.gradient(sole.mean(axis=1), axis=0), axis=1) * fps
         share = smoothstep((speed - _SWING[0]) / (_SWING[1] - _SWING[0]))
@@ -99,54 +99,7 @@ def clear_floor(
         lift = maximum_filter1d(lift, 2 * round(0.05 * fps) + 1)
         lift = gaussian_filter1d(np.minimum(lift, 2 * CLEARANCE), 0.03 * fps)
         if lift.max() > 1e-3:
-            rotations = _lift_foot(body, root, rotations, side, lift)
-            most = max(most, float(lift.max()))
+            up = lift[:, None] * [0.0, 0.0, 1.0]
+            rotations = move_foot(body, root, rotations, side, up)
+            most = np.maximum(most, lift)
     return continuous(rotations), most
-
-
-def _lift_foot(
-    body: HumanBody, root: NDArray, rotations: NDArray, side: str, lift: NDArray
-) -> FloatArray:
-    """Return rotations with one ankle raised by ``lift [T]`` m; the foot keeps its orientation.
-
-    Two-bone inverse kinematics: the knee bends about the axis it is bent about (the body's own
-    hinge where the leg is straight) until hip and ankle are as far apart as they should be; then
-    the leg turns about the hip until the ankle is where it should be.
-    """
-    skeleton = body.skeleton
-    hip, knee, ankle = (skeleton.index(f"{side}_{n}") for n in ("hip", "knee", "ankle"))
-    points = forward_kinematics(skeleton, root, rotations)
-    frames = global_rotations(skeleton, rotations)
-    thigh, shank = points[:, knee] - points[:, hip], points[:, ankle] - points[:, knee]
-    goal = thigh + shank + lift[:, None] * [0.0, 0.0, 1.0]
-    axis = np.cross(thigh, shank)
-    hinge = frames[hip].apply([0.0, 1.0, 0.0])
-    clear = smoothstep(_sine(thigh, shank) / 0.1)[:, None]
-    axis = unit(unit(axis) * clear + hinge * (1 - clear))
-    a, b = np.linalg.norm(thigh, axis=1), np.linalg.norm(shank, axis=1)
-    reach = np.clip(np.linalg.norm(goal, axis=1), np.abs(a - b) + 1e-6, a + b - 1e-6)
-    bend = np.pi - np.arccos(np.clip((a**2 + b**2 - reach**2) / (2 * a * b), -1, 1))
-    now = np.arctan2(
-        np.linalg.norm(np.cross(thigh, shank), axis=1), np.einsum("ti,ti->t", thigh, shank)
-    )
-    fold = Rotation.from_rotvec(axis * (bend - now)[:, None])
-    ends = thigh + fold.apply(shank)
-    turn = np.cross(unit(ends), unit(goal))
-    sine = np.linalg.norm(turn, axis=1, keepdims=True)
-    swing = Rotation.from_rotvec(unit(turn) * np.arcsin(np.clip(sine, 0, 1)))
-    upper, lower = swing * frames[hip], swing * fold * frames[knee]
-    out = np.array(rotations)
-    out[:, hip] = to_wxyz(frames[0].inv() * upper)
-    out[:, knee] = to_wxyz(upper.inv() * lower)
-    out[:, ankle] = to_wxyz(lower.inv() * frames[ankle])
-    return out
-
-
-def _sine(one: NDArray, other: NDArray) -> FloatArray:
-    return np.linalg.norm(np.cross(unit(one), unit(other)), axis=1)
-
-
-def smoothstep(x: NDArray) -> FloatArray:
-    """Return 0 below 0, 1 above 1, and a smooth rise between."""
-    x = np.clip(x, 0.0, 1.0)
-    return x * x * (3 - 2 * x)

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
-from generator.kinematics import from_wxyz
+from generator.kinematics import forward_kinematics, from_wxyz
 from generator.motion import Contact, DuetMotion, Motion
 from robots.humanoid import HumanBody
 from robots.skeleton import FloatArray
 from sim.fitting import fit_person
-from sim.footing import clear_floor, ground_shift
+from sim.footing import MAX_GROUND_SHIFT, clear_floor, ground_shift
+from sim.repair.amount import Repair, amount
+from sim.repair.lowpass import low_pass
+from sim.repair.planting import find_stance, level_drift, plant_feet
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,10 +36,10 @@ class Reference:
     """The two people."""
     ground_shift: tuple[float, float]
     """How far each was lifted so that its standing soles are on the floor, m."""
-    foot_lift: tuple[float, float]
-    """Most that a swinging foot of each was lifted to clear the floor, m."""
     contacts: tuple[Contact, ...] = ()
     """Touches that the motion labels."""
+    repairs: dict[str, dict[str, Repair]] = field(default_factory=dict)
+    """What was changed, per person and kind; plain JSON, kinds in ``docs/physics.md``."""
 
     @property
     def times(self) -> FloatArray:
@@ -74,7 +77,7 @@ def make_reference(
     rate: float = 60.0,
     smoothing: float = 0.02,
     ground: bool = True,
-    clear: bool = True,
+    repair: bool = True,
     weights: tuple[float | None, float | None] = (None, None),
 ) -> Reference:
     """Return the poses of a motion at control rate.
@@ -82,47 +85,107 @@ def make_reference(
     Args:
         motion: What to follow.
         rate: Samples per second.
-        smoothing: Standard deviation of the Gaussian low-pass, s; 0 leaves poses as they are.
+        smoothing: Standard deviation of the Gaussian low-pass on clean motions, s.
         ground: Whether to lift or lower each person so that standing soles meet the floor.
-        clear: Whether to lift swinging feet clear of the floor.
+        repair: Whether to take out what no body can do (:mod:`sim.repair`).
         weights: Body masses, kg; ``None`` takes the default for the stature.
     """
     count = int(np.ceil(motion.duration * rate - 1e-9)) + 1
     times = np.minimum(np.arange(count) / rate, motion.duration)
-    roots, rotations, points, bodies, shifts, lifts = [], [], [], [], [], []
-    for person, weight in zip(motion.people, weights, strict=True):
-        skeleton, turns = fit_person(person)
-        body = HumanBody.of(skeleton, weight)
-        path = person.keypoints[:, 0]
-        shift = ground_shift(body, path, turns, person.fps) if ground else 0.0
-        up = np.array([0.0, 0.0, shift])
-        sigma = smoothing * motion.fps
-        root = _resample(person, path + up, times, sigma)
-        turns, lift = _unit(_resample(person, turns, times, sigma)), 0.0
-        if clear:
-            turns, lift = clear_floor(body, root, turns, rate)
-        roots.append(root)
-        rotations.append(turns)
-        points.append(_resample(person, person.keypoints + up, times, 0.0))
-        bodies.append(body)
-        shifts.append(shift)
-        lifts.append(lift)
+    people = [
+        _follow(person, weight, times, smoothing, ground=ground, repair=repair)
+        for person, weight in zip(motion.people, weights, strict=True)
+    ]
+    if repair:
+        people = [_stand(person, rate) for person in people]
+    a, b = people
     return Reference(
         rate,
-        np.stack(roots, axis=1),
-        np.stack(rotations, axis=1),
-        np.stack(points, axis=1),
-        (bodies[0], bodies[1]),
-        (shifts[0], shifts[1]),
-        (lifts[0], lifts[1]),
+        np.stack([a.root, b.root], axis=1),
+        np.stack([a.rotations, b.rotations], axis=1),
+        np.stack([a.keypoints, b.keypoints], axis=1),
+        (a.body, b.body),
+        (a.ground_shift, b.ground_shift),
         contacts=motion.contacts,
+        repairs={"a": a.repairs, "b": b.repairs},
     )
 
 
-def _resample(person: Motion, values: NDArray, times: NDArray, sigma: float) -> FloatArray:
-    """Return ``values [T, ...]`` at other times, by a cubic spline after a low-pass."""
-    if sigma > 0:
-        values = gaussian_filter1d(values, sigma, axis=0, mode="nearest")
+@dataclass(frozen=True, slots=True, eq=False)
+class _Person:
+    """One person on the way to a reference; fields as there."""
+
+    body: HumanBody
+    root: FloatArray
+    rotations: FloatArray
+    keypoints: FloatArray
+    ground_shift: float
+    repairs: dict[str, Repair]
+
+
+def _follow(
+    person: Motion,
+    weight: float | None,
+    times: NDArray,
+    smoothing: float,
+    *,
+    ground: bool,
+    repair: bool,
+) -> _Person:
+    """Return what a person's keypoints say, as poses of a body at given times."""
+    skeleton, turns = fit_person(person)
+    body = HumanBody.of(skeleton, weight)
+    if repair:
+        smoothing = low_pass(turns, person.fps, smoothing)
+    sigma = smoothing * person.fps
+    path, turns = _smooth(person.keypoints[:, 0], sigma), _unit(_smooth(turns, sigma))
+    shift = ground_shift(body, path, turns, person.fps) if ground else 0.0
+    up = np.array([0.0, 0.0, shift])
+    root, rotations = _resample(person, path + up, times), _unit(_resample(person, turns, times))
+    points = _resample(person, person.keypoints + up, times)
+    off = np.linalg.norm(forward_kinematics(skeleton, root, rotations) - points, axis=-1)
+    repairs = {
+        "ground_shift": amount(abs(shift)),
+        "low_pass_s": amount(smoothing),
+        "limb_stretch": amount(off),
+    }
+    return _Person(body, root, rotations, points, shift, repairs)
+
+
+def _stand(person: _Person, rate: float) -> _Person:
+    """Return a person whose feet stand on the floor, or swing clear of it."""
+    body, root, rotations = person.body, person.root, person.rotations
+    always, drift = level_drift(find_stance(body, root, rotations, rate), rate)
+    if abs(person.ground_shift + always) > MAX_GROUND_SHIFT:
+        always = 0.0
+    shift = person.ground_shift + always
+    root = root + drift[:, None] * [0.0, 0.0, 1.0]
+    stances = find_stance(body, root, rotations, rate)
+    rotations, moved = plant_feet(body, root, rotations, stances, rate)
+    rotations, lift = clear_floor(body, root, rotations, rate)
+    repairs = person.repairs | {
+        "ground_shift": amount(shift),
+        "height_drift": amount(drift - always),
+        "foot_plant": amount(moved),
+        "foot_lift": amount(lift),
+    }
+    return replace(
+        person,
+        root=root,
+        rotations=rotations,
+        keypoints=person.keypoints + always * np.array([0.0, 0.0, 1.0]),
+        ground_shift=shift,
+        repairs=repairs,
+    )
+
+
+def _smooth(values: NDArray, sigma: float) -> FloatArray:
+    """Return ``values [T, ...]`` after a Gaussian low-pass of ``sigma`` frames."""
+    return gaussian_filter1d(values, sigma, axis=0, mode="nearest") if sigma > 0 else values
+
+
+def _resample(person: Motion, values: NDArray, times: NDArray) -> FloatArray:
+    """Return ``values [T, ...]`` at other times, by a cubic spline."""
     if person.frames < 4:
         spline = CubicSpline(person.times, values, axis=0, bc_type="natural")
     else:
