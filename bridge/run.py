@@ -6,7 +6,7 @@ import platform
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,12 +16,14 @@ from bridge.sources import FROM_FILE, MotionRequest, load_robots
 from bridge.stages import GENERATORS, Progress
 from bridge.stop import stop_on_signals
 from robots.errors import RenderError
-from robots.files import write_json
+from robots.files import plain, write_json
 
 if TYPE_CHECKING:
     from bridge.player.telemetry import Performance
     from generator.intergen import IntergenRequest
+    from sim.outcome import TrackOutcome
     from sim.report import Report
+    from sim.track import TrackSettings
 
 Stage = Callable[[str], AbstractContextManager[Progress]]
 """Shows the progress of a named stage while its block runs."""
@@ -46,10 +48,8 @@ class RunSettings:
     """Which model, and what is given, if that is InterGen."""
     nearest: bool = False
     """Take the nearest interaction for a sentence outside the repertoire."""
-    controller: str = "assist"
-    """Who tracks."""
-    assist: float | None = None
-    """Bound of the helping force, body weights."""
+    tracking: TrackSettings | None = None
+    """How the motion is tracked; the defaults if not given."""
     robots: tuple[str, str] = ("op3", "op3")
     """Who plays a and b."""
     speed: float = 1.0
@@ -108,12 +108,8 @@ def run(settings: RunSettings, *, stage: Stage, say: Callable[[str], None]) -> R
     with timed("generate") as progress:
         motion = _motion(settings, progress)
     with timed("track") as progress:
-        rollout = stages.track(
-            out / stages.MOTION,
-            out / stages.ROLLOUT,
-            controller=settings.controller,
-            assist=settings.assist,
-            progress=progress,
+        tracked = stages.track(
+            out / stages.MOTION, out / stages.ROLLOUT, settings=settings.tracking, progress=progress
         )
     with timed("score"):
         report = stages.score(out / stages.ROLLOUT, out / stages.REPORT)
@@ -150,9 +146,9 @@ def run(settings: RunSettings, *, stage: Stage, say: Callable[[str], None]) -> R
             pictures = f"none: {error}"
             say(f"no video: {error}")
     summary = {
-        "settings": _plain(asdict(settings)),
+        "settings": plain(settings),
         "motion": motion,
-        "tracking": tracking_facts(report, rollout.fell),
+        "tracking": tracking_facts(report, tracked),
         "report": {"score": report.score, "passed": report.passed, "failures": report.failures},
         "retargeting": retargeting,
         "performance": performance_facts(performance),
@@ -194,17 +190,16 @@ def _highlight(motion: dict[str, Any]) -> float:
     return (longest["start"] + longest["end"]) / 2
 
 
-def tracking_facts(report: Report, fell: dict[str, bool]) -> dict[str, Any]:
+def tracking_facts(report: Report, tracked: TrackOutcome) -> dict[str, Any]:
     """Return the figures of a summary that say how well the motion was tracked."""
+    names = (
+        *("success", "fell", "fall_time_s", "finished", "ended_because", "recoveries"),
+        *("mpjpe_global_mm", "mpjpe_root_mm", "contact_recall", "penetration_max_mm"),
+        *("controller", "cpu_seconds_per_second"),
+    )
+    figures = tracked.to_json()
     return {
-        "fell": fell,
-        **{
-            label: {person: report.get(name, person) for person in ("a", "b")}
-            for label, name in (
-                ("mpjpe_global_mm", "mpjpe_global"),
-                ("mpjpe_root_mm", "mpjpe_root"),
-            )
-        },
+        **{name: figures[name] for name in names},
         "assist_mean_percent": report.get("assist_mean"),
     }
 
@@ -219,11 +214,3 @@ def performance_facts(performance: Performance | None) -> dict[str, Any] | None:
         "rms_deg": {person: track.rms_deg for person, track in tracks.items()},
         "lag_ms": {person: track.lag_ms for person, track in tracks.items()},
     }
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    return str(value) if isinstance(value, Path) else value

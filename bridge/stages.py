@@ -23,7 +23,7 @@ from bridge.sources import (
 )
 from generator.motion import DuetMotion
 from robots.errors import GateRefused, SpecError, nearest
-from robots.files import write_json
+from robots.files import plain, write_json
 
 if TYPE_CHECKING:  # physics, hardware and networks are loaded by the stages that need them
     from bridge.player import Verdict
@@ -32,14 +32,18 @@ if TYPE_CHECKING:  # physics, hardware and networks are loaded by the stages tha
     from bridge.trajectory import JointTrajectory
     from generator.intergen import IntergenRequest
     from robots.spec import RobotSpec
+    from sim.outcome import TrackOutcome
     from sim.report import Report
     from sim.rollout import Rollout
+    from sim.track import TrackSettings
 
 Progress = Callable[[float], None]
 
 GENERATORS = ("choreographer", "intergen")
+CONTROLLERS = ("ilqr", "mppi", "assist")
 MOTION = "motion.npz"
 ROLLOUT = "rollout.npz"
+TRACKING = "track.json"
 REPORT = "report.json"
 TRAJECTORIES = ("trajectory-a.npz", "trajectory-b.npz")
 RETARGETING = "retargeting.json"
@@ -120,35 +124,68 @@ def track(
     out: Path,
     *,
     request: MotionRequest = FROM_FILE,
-    controller: str = "assist",
-    assist: float | None = None,
+    settings: TrackSettings | None = None,
+    least_assist: bool = False,
+    export: Path | None = None,
     progress: Progress = no_progress,
-) -> Rollout:
-    """Write ``rollout.npz`` for a motion file and return the rollout.
+) -> TrackOutcome:
+    """Write ``rollout.npz`` for a motion file and ``track.json`` beside it; return the latter.
 
     Args:
-        motion: Any motion file.
-        out: File to write.
+        motion: Any motion file, or a rollout to track once more.
+        out: Rollout file to write.
         request: What the motion file leaves unsaid.
-        controller: Who moves the joints.
-        assist: Bound of the helping force at the pelvis, body weights; ``None`` for the default.
+        settings: How to track; the defaults if not given.
+        least_assist: Find the least help with which the motion can be tracked, too.
+        export: Motion file to write what was simulated to: ``.npz``, or ``.bvh`` for two files
+            ``_a.bvh`` and ``_b.bvh``.
         progress: Told the share done.
 
     Raises:
-        SimDiverged: The physics produced absurd numbers.
+        SpecError: The people are not of human size, or ``export`` is of no known format.
     """
-    from sim.scene import AssistLimits
+    from sim.outcome import Cost, outcome
     from sim.track import TrackSettings
     from sim.track import track as simulate
 
-    limits = AssistLimits()
-    if assist is not None:
-        share = assist / limits.max_force
-        limits = AssistLimits(max_force=assist, max_torque=share * limits.max_torque)
-    settings = TrackSettings(controller=controller, assist=limits)
-    rollout = simulate(read(motion, request), settings=settings, progress=progress)
+    require_export(export)
+    settings, given = settings or TrackSettings(), read(motion, request)
+    start = Cost.now()
+    rollout = simulate(given, settings=settings, progress=progress)
+    cost, least = Cost.now().since(start), None
+    if least_assist:
+        from sim.least_assist import least_assist as search
+
+        least = plain(search(given, settings))
+    result = outcome(rollout, cost, least_assist=least)
+    record = out.with_name(TRACKING)
+    record.unlink(missing_ok=True)  # it is written last, so that it vouches for what lies beside it
     rollout.save(out)
-    return rollout
+    if export is not None:
+        export_simulated(rollout, export)
+    result.save(record)
+    return result
+
+
+def export_simulated(rollout: Rollout, path: Path) -> None:
+    """Write what was simulated as a motion; see ``export`` of :func:`track`."""
+    from generator.io import write_bvh, write_motion
+
+    require_export(path)
+    if path.suffix == ".bvh":
+        write_bvh(rollout.as_motion(), path)
+    else:
+        write_motion(rollout.as_motion(), path)
+
+
+def require_export(path: Path | None) -> None:
+    """Check that a motion can be written to a file of that name.
+
+    Raises:
+        SpecError: It is of another format.
+    """
+    if path is not None and path.suffix not in (".npz", ".bvh"):
+        raise SpecError(f"'{path.name}' is no name for a motion", allowed="*.npz, *.bvh")
 
 
 def score(path: Path, out: Path, *, request: MotionRequest = FROM_FILE) -> Report:

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bridge.sources import MotionRequest
-from bridge.stages import GENERATORS
+from bridge.stages import CONTROLLERS, GENERATORS
 
 if TYPE_CHECKING:
     from generator.intergen import IntergenRequest
+    from sim.track import TrackSettings
 
 DEFAULT_ROBOT = "op3"
 
@@ -122,14 +123,79 @@ def robot_pair(args: argparse.Namespace) -> tuple[str, str]:
     return args.robot_a or args.robot, args.robot_b or args.robot
 
 
-def add_assist(parser: argparse.ArgumentParser) -> None:
-    """Add which controller tracks."""
-    parser.add_argument("--controller", choices=("assist",), default="assist")
+def add_tracking(parser: argparse.ArgumentParser) -> None:
+    """Add who moves the joints of the simulated people, and how well."""
+    parser.add_argument(
+        "--controller",
+        choices=CONTROLLERS,
+        help="plan ahead and balance (ilqr, the default), sample plans (mppi), or springs and a"
+        " helping hand at the pelvis (assist: in real time)",
+    )
     parser.add_argument(
         "--assist",
         type=float,
         metavar="BODYWEIGHTS",
         help="bound of the helping force at the pelvis, in body weights",
+    )
+
+
+def add_disturbance(parser: argparse.ArgumentParser) -> None:
+    """Add what goes otherwise in the simulation than the controller believes."""
+    group = parser.add_argument_group("what the controller does not know of")
+    group.add_argument(
+        "--push",
+        action="append",
+        default=[],
+        metavar="'WHO X Y Z at S for S [on BODY]'",
+        help="force in N, for example 'a 100 0 0 at 1.0 for 0.2'; can be repeated",
+    )
+    group.add_argument(
+        "--payload",
+        action="append",
+        default=[],
+        metavar="'WHO BODY KG'",
+        help="a weight, for example 'a right_wrist 2'; can be repeated",
+    )
+    group.add_argument("--friction", type=float, help="of the floor and the people")
+    group.add_argument("--latency", type=float, default=0.0, metavar="S", help="of every joint")
+    group.add_argument(
+        "--mass-error",
+        type=float,
+        default=0.0,
+        metavar="SHARE",
+        help="how much heavier the people are, 0.1 for a tenth",
+    )
+
+
+def track_settings(args: argparse.Namespace) -> TrackSettings:
+    """Return what :func:`add_tracking` parsed, and :func:`add_disturbance` if that was added.
+
+    Raises:
+        SpecError: A value makes no sense.
+    """
+    from sim.disturbance import Disturbance, parse_payload, parse_push
+    from sim.scene import AssistLimits
+    from sim.track import TrackSettings
+
+    disturbance = Disturbance()
+    if hasattr(args, "push"):
+        disturbance = Disturbance(
+            pushes=tuple(parse_push(text) for text in args.push),
+            payloads=tuple(parse_payload(text) for text in args.payload),
+            friction=args.friction,
+            latency=args.latency,
+            mass_error=args.mass_error,
+        )
+    assist = None
+    if args.assist is not None:
+        share = AssistLimits().max_torque / AssistLimits().max_force
+        assist = AssistLimits(max_force=args.assist, max_torque=share * args.assist)
+    return TrackSettings(
+        controller=args.controller or TrackSettings().controller,
+        assist=assist,
+        self_collision=getattr(args, "self_collision", False),
+        disturbance=disturbance,
+        seed=args.seed,
     )
 
 

@@ -8,15 +8,16 @@ from pathlib import Path
 from bridge import stages
 from bridge.cli.console import Console
 from bridge.cli.options import (
-    add_assist,
     add_generator,
     add_intergen,
     add_motion_request,
     add_robots,
     add_seed,
+    add_tracking,
     intergen_request,
     motion_request,
     robot_pair,
+    track_settings,
 )
 from bridge.cli.tables import show_summary
 
@@ -28,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_seed(parser)
     add_generator(parser)
     add_intergen(parser)
-    add_assist(parser)
+    add_tracking(parser)
     add_robots(parser)
     parser.add_argument(
         "--speed", type=float, default=1.0, help="of the performance on the virtual servos"
@@ -49,8 +50,7 @@ def execute(args: argparse.Namespace, console: Console) -> int:
         generator=args.generator,
         intergen=intergen_request(args),
         nearest=args.nearest,
-        controller=args.controller,
-        assist=args.assist,
+        tracking=track_settings(args),
         robots=robot_pair(args),
         speed=args.speed,
         force=args.force,

@@ -54,8 +54,9 @@ def _lines(summary: dict[str, Any]) -> list[tuple[str, tuple[str, str]]]:
         ),
         (
             "tracked",
-            f"{off['a']:.0f} / {off['b']:.0f} mm off (a / b), {_fallen(tracking['fell'])}, helped"
-            f" with {tracking['assist_mean_percent']:.0f} % of body weight",
+            f"{off['a']:.0f} / {off['b']:.0f} mm off (a / b), {_ending(tracking)},"
+            f" {_recoveries(tracking['recoveries'])}helped with"
+            f" {tracking['assist_mean_percent']:.0f} % of body weight",
         ),
         (
             "plausible",
@@ -88,6 +89,85 @@ def _lines(summary: dict[str, Any]) -> list[tuple[str, tuple[str, str]]]:
     ]
 
 
-def _fallen(fell: dict[str, bool]) -> str:
-    names = [person for person, yes in fell.items() if yes]
-    return f"{' and '.join(names)} fell" if names else "nobody fell"
+def _recoveries(count: int) -> str:
+    return f"caught after {count} stumble{'s' if count > 1 else ''}, " if count else ""
+
+
+def show_outcome(console: Console, outcome: dict[str, Any]) -> None:
+    """Print how tracking one motion went."""
+    rows = [
+        [title, *(f"{outcome[key][person]:.{digits}f}{unit}" for person in ("a", "b"))]
+        for title, key, digits, unit in (
+            ("off from the motion", "mpjpe_global_mm", 0, " mm"),
+            ("the same, pelvises put together", "mpjpe_root_mm", 0, " mm"),
+            ("accelerations off", "accel_error_mm_per_frame2", 1, " mm/frame²"),
+            ("below the floor, 95 % of the time", "floor_penetration_p95_mm", 0, " mm"),
+        )
+    ]
+    help_ = outcome["assist_max_bodyweight"]
+    console.table(
+        f"{outcome['simulated_s']:.1f} s with {outcome['controller']}: {_ending(outcome)}",
+        ["", "a", "b"],
+        rows,
+    )
+    console.show(
+        f"{_touches(outcome)}; in each other {_inside(outcome)} at most;"
+        f" helped with {help_:.2f} body weights at most;"
+        f" {outcome['cpu_seconds_per_second']:.1f} CPU-s and"
+        f" {outcome['wall_seconds_per_second']:.1f} s per second"
+    )
+    least = outcome["least_assist"]
+    if least is not None:
+        console.show("least help: " + ", ".join(f"{key} {value}" for key, value in least.items()))
+
+
+def show_batch(console: Console, clips: list[dict[str, Any]]) -> None:
+    """Print how tracking many motions went, one line each."""
+    rows = []
+    for clip in clips:
+        name, status = Path(clip["folder"]).name, clip["status"]
+        if status == "failed":
+            rows.append([name, "[red]failed[/]", "", "", "", ""])
+            continue
+        off = clip["mpjpe_global_mm"]
+        rows.append(
+            [
+                name,
+                f"[green]{status}[/]" if clip["success"] else f"[red]{_ending(clip)}[/]",
+                f"{off['a']:.0f} / {off['b']:.0f} mm",
+                "" if clip["contact_recall"] is None else f"{clip['contact_recall']:.0%}",
+                _inside(clip),
+                f"{clip['cpu_seconds_per_second']:.1f}",
+            ]
+        )
+    good = sum(bool(clip.get("success")) for clip in clips)
+    console.table(
+        f"{good} of {len(clips)} motions performed to the end, nobody fell",
+        ["", "", "off", "touches", "in each other", "CPU-s/s"],
+        rows,
+    )
+    for clip in clips:
+        if clip["status"] == "failed":
+            console.show(f"failed: {clip['error']}")
+
+
+def _ending(outcome: dict[str, Any]) -> str:
+    """Return who fell when, and why it ended early if it did."""
+    falls = [
+        f"{who} fell at {time:.2f} s"
+        for who, time in outcome["fall_time_s"].items()
+        if time is not None
+    ]
+    if not outcome["finished"]:
+        return "; ".join([*falls, str(outcome["ended_because"])])
+    return " and ".join(falls) or "nobody fell"
+
+
+def _touches(outcome: dict[str, Any]) -> str:
+    recall = outcome["contact_recall"]
+    return "no touch was wanted" if recall is None else f"{recall:.0%} of wanted touches met"
+
+
+def _inside(outcome: dict[str, Any]) -> str:
+    depth = outcome["penetration_max_mm"]
+    return f"{depth['reference']:.0f} → {depth['simulated']:.0f} mm"
