@@ -74,13 +74,6 @@ class JointTrajectory:
         """Last moment, s."""
         return float(self.times[-1])
 
-    def at(self, time: float) -> FloatArray:
-        """Return the positions ``[D]`` at ``time`` s, linear between samples, held at the ends."""
-        i = int(np.clip(np.searchsorted(self.times, time, side="right"), 1, len(self.times) - 1))
-        t0, t1 = self.times[i - 1], self.times[i]
-        u = float(np.clip((time - t0) / (t1 - t0), 0.0, 1.0))
-        return self.position[i - 1] * (1 - u) + self.position[i] * u
-
     def save(self, path: str | Path) -> None:
         """Write as npz with a JSON header."""
         header = {

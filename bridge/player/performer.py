@@ -14,6 +14,7 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
+from bridge.player.path import SmoothPath
 from bridge.player.phase import Phase
 from bridge.player.puppet import Puppet
 from bridge.player.ramp import Ramp, ramp_time
@@ -163,7 +164,7 @@ class Performer:
             duration = max(duration, ramp_time(start, first, fastest, settings.ramp_time))
             moves.append((start, first))
         ramps = [Ramp(start, first, duration) for start, first in moves]
-        dance = [puppet.part.trajectory for puppet in self.puppets]
+        dance = [self._path(puppet) for puppet in self.puppets]
         if not (
             self._stream("RAMP", ramps, duration)
             and self._stream("PLAY", dance, self.duration, settings.speed)
@@ -172,6 +173,15 @@ class Performer:
             return "stopped"
         self._stream("SETTLE", self._still(), settings.settle_time)
         return "completed"
+
+    def _path(self, puppet: Puppet) -> SmoothPath:
+        robot = puppet.part.robot
+        return SmoothPath(
+            puppet.part.trajectory,
+            lower=robot.lower,
+            upper=robot.upper,
+            max_velocity=robot.max_velocity / self.settings.speed,
+        )
 
     def _still(self) -> list[Ramp]:
         return [Ramp(puppet.goal, puppet.goal, 0.0) for puppet in self.puppets]

@@ -51,28 +51,6 @@ def test_a_trajectory_is_frozen_and_shares_no_memory():
         one.robot = "s"  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def test_positions_between_samples_are_linear_and_held_at_the_ends():
-    one = trajectory()
-    np.testing.assert_allclose(one.at(0.25), [0.5, 1.0])
-    np.testing.assert_allclose(one.at(1.25), [2.5, -0.5])
-    for time, expected in zip(TIMES, POSITION, strict=True):
-        np.testing.assert_allclose(one.at(time), expected)
-    np.testing.assert_array_equal(one.at(-1), POSITION[0])
-    np.testing.assert_array_equal(one.at(99), POSITION[-1])
-    assert one.duration == 2.0
-
-
-@given(seed=st.integers(0, 2**32 - 1), share=st.floats(-0.2, 1.2))
-def test_interpolation_agrees_with_numpy_and_stays_between_neighbours(seed, share):
-    rng = np.random.default_rng(seed)
-    times = np.concatenate([[0.0], np.cumsum(rng.uniform(0.01, 1, 9))])
-    position = rng.normal(size=(10, 3))
-    one = JointTrajectory(times, position, ("a", "b", "c"), "r")
-    time = share * times[-1]
-    expected = [np.interp(time, times, column) for column in position.T]
-    np.testing.assert_allclose(one.at(time), expected, atol=1e-9)
-
-
 @settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
