@@ -26,6 +26,7 @@ from generator.kinematics import from_wxyz, to_wxyz
 from robots.humanoid import body_plan
 from robots.skeleton import FloatArray
 from sim.controllers.base import Progress, Trace, simulate, within_effort
+from sim.controllers.guide import AssistGuide
 from sim.disturbance import NONE, Disturbance
 from sim.inverse import inverse_dynamics
 from sim.reference import Reference
@@ -52,25 +53,20 @@ class AssistController:
     ) -> Trace:
         """Simulate the whole reference; see :class:`sim.controllers.base.Controller`."""
         ratio = body_plan().damping_ratio
-        linear, angular = reference.steps()
+        _, angular = reference.steps()
         targets = self._targets(scene, reference, angular)
         most = self._most_offset(scene)
         quats = np.concatenate([m.quats[1:] for m in scene.maps])
         dofs = np.concatenate([m.dofs[1:] for m in scene.maps])
         rows = np.concatenate([m.targets for m in scene.maps])
-        helped = [p for p, at in enumerate(scene.maps) if len(at.assist)]
-        leads = {p: _assist_lead(scene, scene.maps[p].assist) for p in helped}
+        guide = AssistGuide(scene, reference)
 
         def policy(data: Any, tick: int) -> None:
             now = from_wxyz(data.qpos[quats])
             wanted = from_wxyz(targets[tick])
             data.ctrl[rows] = within_effort(wanted, now, data.qvel[dofs], ratio, most).as_rotvec()
-            for p in helped:
-                at = scene.maps[p]
-                target = leads[p] * np.concatenate([linear[tick, p], angular[tick, p, 0]])
-                target[:3] += reference.root[tick + 1, p]
-                data.ctrl[at.assist] = target
-                data.mocap_quat[at.mocap] = reference.rotations[tick + 1, p, 0]
+            for p in guide.helped:
+                guide.set(data, tick, p, scene.maps[p])
 
         return simulate(scene, reference, policy, progress, disturbance=disturbance)
 
@@ -96,11 +92,3 @@ class AssistController:
                 for name in body.skeleton.names[1:]
             ]
         )
-
-
-def _assist_lead(scene: Scene, addresses: NDArray) -> FloatArray:
-    """Return damping over stiffness ``[6]``, s, of a person's assist actuators."""
-    model = scene.model
-    ids = np.searchsorted(model.actuator_ctrladr, addresses)
-    kp, kv = model.actuator_gainprm[ids, 0], -model.actuator_biasprm[ids, 2]
-    return np.divide(kv, kp, out=np.zeros(len(kp)), where=kp > 0)

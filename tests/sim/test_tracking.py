@@ -157,7 +157,7 @@ def test_a_run_that_ends_early_keeps_what_was_simulated(make_duet, monkeypatch, 
     [
         ({"controller": "asist"}, "did you mean 'assist'"),
         ({"rate": 1.0}, "moments per second"),
-        ({"steps": 0}, "steps per second"),
+        ({"steps": 17}, "steps per second"),
         ({"smoothing": -1.0}, "smoothing"),
     ],
 )

@@ -11,23 +11,21 @@ from __future__ import annotations
 import logging
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from generator.kinematics import from_wxyz
-from robots.humanoid import body_plan
-from robots.skeleton import FloatArray
 from sim.controllers.base import Progress, Trace, quiet_mujoco, reference_qvel
+from sim.controllers.guide import AssistGuide
 from sim.controllers.ilqr.cost import TrackingCost
 from sim.controllers.ilqr.person import PersonModel, person_model
 from sim.controllers.ilqr.planner import Planner
 from sim.controllers.ilqr.settings import IlqrSettings
 from sim.controllers.ilqr.touch import find_touches
+from sim.controllers.nominal import nominal_targets
 from sim.disturbance import NONE, Disturbance
-from sim.inverse import inverse_dynamics
 from sim.reference import Reference
 from sim.rollout import FALL_DISTANCE
 from sim.scene import Scene
@@ -109,7 +107,8 @@ class _Run:
         self.goal = scene.qpos(reference.root, reference.rotations)
         self.goal_keypoints = scene.keypoints(self.goal)
         self.people = [person_model(scene, p, ghost=settings.ghost) for p in range(2)]
-        self.planners = _planners(settings, scene, reference, self.goal, self.people)
+        self.guide = AssistGuide(scene, reference)
+        self.planners = _planners(settings, scene, reference, self.goal, self.people, self.guide)
         self.recovery = _Recovery()
         self.fallen: int | None = None
 
@@ -152,6 +151,8 @@ class _Run:
         for p, (person, planner) in enumerate(zip(self.people, self.planners, strict=True)):
             control = planner.control(tick, data.qpos[person.qpos], data.qvel[person.qvel])
             data.ctrl[self.scene.maps[p].targets.reshape(-1)] = control
+        for p in self.guide.helped:
+            self.guide.set(data, tick, p, self.scene.maps[p])
         simulation.step()
 
     def _lost(self, distance: float) -> bool:
@@ -219,10 +220,12 @@ def _planners(
     reference: Reference,
     goal: NDArray,
     people: list[PersonModel],
+    guide: AssistGuide,
 ) -> list[Planner]:
     """Return the planners of both people."""
     speed = reference_qvel(scene, reference)
-    nominal = _nominal(scene, reference, settings.feed_forward)
+    nominal = nominal_targets(scene, reference, settings.feed_forward)
+    nominal = nominal.reshape(*nominal.shape[:2], -1)
     poses = [person.poses(goal[:, person.qpos]) for person in people]
     touches = find_touches(scene.bodies, poses, reference.contacts, reference.rate)
     out = []
@@ -239,35 +242,12 @@ def _planners(
                 settings,
                 rate=reference.rate,
                 touches=touches[p],
+                guide=partial(_guided, guide, p, person) if p in guide.helped else None,
             )
         )
     return out
 
 
-def _nominal(scene: Scene, reference: Reference, feed_forward: float) -> FloatArray:
-    """Return joint targets ``[N-1, 2, 3 (J-1)]`` that follow the reference if nothing disturbs.
-
-    The pose at the end of the step, ahead by what the damper brakes and by what torque it takes.
-    """
-    _, angular = reference.steps()
-    ahead = angular[:, :, 1:] * body_plan().damping_ratio
-    if feed_forward > 0:
-        stiffness = np.array([[b.stiffness(n) for n in b.skeleton.names[1:]] for b in scene.bodies])
-        offset = inverse_dynamics(scene, reference).torque / stiffness[..., None]
-        ahead = ahead + feed_forward * (offset[1:] + offset[:-1]) / 2
-    local = from_wxyz(reference.rotations[1:, :, 1:].reshape(-1, 4))
-    turns = (local * Rotation.from_rotvec(ahead.reshape(-1, 3))).as_rotvec()
-    return _unwrapped(turns.reshape(ahead.shape)).reshape(len(ahead), 2, -1)
-
-
-def _unwrapped(turns: NDArray) -> FloatArray:
-    """Return rotation vectors ``[N, ..., 3]`` without jumps from one turn to its complement."""
-    out = turns.copy()
-    for k in range(1, len(out)):
-        size = np.linalg.norm(out[k], axis=-1, keepdims=True)
-        other = out[k] * (1 - 2 * np.pi / np.maximum(size, 1e-9))
-        nearer = np.linalg.norm(other - out[k - 1], axis=-1, keepdims=True) < np.linalg.norm(
-            out[k] - out[k - 1], axis=-1, keepdims=True
-        )
-        out[k] = np.where(nearer & (size > 1e-6), other, out[k])
-    return out
+def _guided(guide: AssistGuide, p: int, person: PersonModel, data: Any, tick: int) -> None:
+    """Set the root assist in a person's own model."""
+    guide.set(data, tick, p, person.at)
