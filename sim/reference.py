@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from robots.skeleton import FloatArray
 from sim.fitting import fit_person
 from sim.footing import MAX_GROUND_SHIFT, clear_floor, ground_shift
 from sim.repair.amount import Repair, amount
+from sim.repair.apart import push_apart
 from sim.repair.lowpass import low_pass
 from sim.repair.planting import find_stance, level_drift, plant_feet
 
@@ -97,7 +99,9 @@ def make_reference(
         for person, weight in zip(motion.people, weights, strict=True)
     ]
     if repair:
-        people = [_stand(person, rate) for person in people]
+        people = [_level(person, rate) for person in people]
+        aside = _apart(people, motion.contacts, rate)
+        people = [_plant(one, other, rate) for one, other in zip(people, aside, strict=True)]
     a, b = people
     return Reference(
         rate,
@@ -121,6 +125,10 @@ class _Person:
     keypoints: FloatArray
     ground_shift: float
     repairs: dict[str, Repair]
+
+    def points(self) -> FloatArray:
+        """Return the keypoints ``[N, J, 3]`` m of the poses."""
+        return forward_kinematics(self.body.skeleton, self.root, self.rotations)
 
 
 def _follow(
@@ -152,31 +160,56 @@ def _follow(
     return _Person(body, root, rotations, points, shift, repairs)
 
 
-def _stand(person: _Person, rate: float) -> _Person:
-    """Return a person whose feet stand on the floor, or swing clear of it."""
-    body, root, rotations = person.body, person.root, person.rotations
-    always, drift = level_drift(find_stance(body, root, rotations, rate), rate)
+def _level(person: _Person, rate: float) -> _Person:
+    """Return a person at the height at which standing feet are on the floor."""
+    stances = find_stance(person.body, person.root, person.rotations, rate)
+    always, drift = level_drift(stances, rate)
     if abs(person.ground_shift + always) > MAX_GROUND_SHIFT:
         always = 0.0
+    up = np.array([0.0, 0.0, 1.0])
     shift = person.ground_shift + always
-    root = root + drift[:, None] * [0.0, 0.0, 1.0]
-    stances = find_stance(body, root, rotations, rate)
-    rotations, moved = plant_feet(body, root, rotations, stances, rate)
-    rotations, lift = clear_floor(body, root, rotations, rate)
-    repairs = person.repairs | {
-        "ground_shift": amount(shift),
-        "height_drift": amount(drift - always),
-        "foot_plant": amount(moved),
-        "foot_lift": amount(lift),
-    }
+    changes = {"ground_shift": amount(shift), "height_drift": amount(drift - always)}
     return replace(
         person,
-        root=root,
-        rotations=rotations,
-        keypoints=person.keypoints + always * np.array([0.0, 0.0, 1.0]),
+        root=person.root + drift[:, None] * up,
+        keypoints=person.keypoints + always * up,
         ground_shift=shift,
-        repairs=repairs,
+        repairs=person.repairs | changes,
     )
+
+
+def _apart(
+    people: Sequence[_Person], contacts: Sequence[Contact], rate: float
+) -> tuple[_Person, _Person]:
+    """Return two people of whom none is inside the other, and whose touches meet."""
+    root = np.stack([p.root for p in people], axis=1)
+    rotations = np.stack([p.rotations for p in people], axis=1)
+    bodies = people[0].body, people[1].body
+    root, rotations = push_apart(bodies, root, rotations, contacts, rate)
+    out = []
+    for p, person in enumerate(people):
+        made = replace(person, root=root[:, p], rotations=rotations[:, p])
+        moved = np.linalg.norm(made.points() - person.points(), axis=-1)
+        out.append(replace(made, repairs=person.repairs | {"push_apart": amount(moved)}))
+    return out[0], out[1]
+
+
+def _plant(before: _Person, person: _Person, rate: float) -> _Person:
+    """Return a person whose feet stand still, or swing clear of the floor.
+
+    Args:
+        before: The person before it was pushed aside, which shows when feet stand.
+        person: The person.
+        rate: Samples per second.
+    """
+    body, root = person.body, person.root
+    aside = root - before.root
+    stances = find_stance(body, before.root, before.rotations, rate)
+    left, right = (replace(s, ball=s.ball + aside) for s in stances)
+    rotations, moved = plant_feet(body, root, person.rotations, (left, right), rate)
+    rotations, lift = clear_floor(body, root, rotations, rate)
+    changes = {"foot_plant": amount(moved), "foot_lift": amount(lift)}
+    return replace(person, rotations=rotations, repairs=person.repairs | changes)
 
 
 def _smooth(values: NDArray, sigma: float) -> FloatArray:
