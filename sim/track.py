@@ -19,6 +19,8 @@ from sim.controllers.assist import AssistController
 from sim.controllers.base import Controller, Progress, Trace
 from sim.controllers.ilqr.controller import IlqrController
 from sim.controllers.ilqr.settings import IlqrSettings
+from sim.controllers.mppi.controller import MppiController
+from sim.controllers.mppi.settings import MppiSettings
 from sim.disturbance import NONE, Disturbance
 from sim.reference import Reference, make_reference
 from sim.rollout import Rollout, motion_sha256
@@ -28,6 +30,7 @@ log = logging.getLogger(__name__)
 
 CONTROLLERS: dict[str, Callable[[TrackSettings], Controller]] = {
     "ilqr": lambda settings: IlqrController(settings=settings.ilqr),
+    "mppi": lambda settings: MppiController(settings=settings.mppi, seed=settings.seed),
     "assist": lambda settings: AssistController(),
 }
 """What ``TrackSettings.controller`` may name, and how to make it."""
@@ -66,6 +69,8 @@ class TrackSettings:
     """Of controllers that draw random numbers."""
     ilqr: IlqrSettings = field(default_factory=IlqrSettings)
     """How ``ilqr`` plans."""
+    mppi: MppiSettings = field(default_factory=MppiSettings)
+    """How ``mppi`` samples."""
 
     def __post_init__(self) -> None:
         """Fill in what depends on the controller, and validate."""

@@ -1,0 +1,1 @@
+"""Sampling model-predictive control of both people at once."""
