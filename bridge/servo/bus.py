@@ -33,6 +33,8 @@ log = logging.getLogger(__name__)
 
 WATCHDOG_FIRMWARE = 38
 """First firmware with a bus watchdog."""
+FAST_FAILURES = 10
+"""Incomplete fast reads, without a complete one between, after which there are no more."""
 STREAM_OFFSET, STREAM_LENGTH = -6, 10
 """The block read in every tick, from Present Position: current or load (2 bytes), velocity (4),
 position (4)."""
@@ -41,8 +43,15 @@ position (4)."""
 class ServoBus:
     """Servos behind one port."""
 
-    def __init__(self, joints: Sequence[JointSpec], transport: Transport) -> None:
+    def __init__(
+        self, joints: Sequence[JointSpec], transport: Transport, *, fast: bool = True
+    ) -> None:
         """Take the joints whose servos hang on this port.
+
+        Args:
+            joints: Who is who.
+            transport: The wire.
+            fast: Whether Fast Sync Read may be used where all servos know it.
 
         Raises:
             SpecError: A servo has no control table, or the tables keep the streamed registers at
@@ -61,6 +70,10 @@ class ServoBus:
         )
         self._index = {servo_id: index for index, servo_id in enumerate(self.ids)}
         self._watchdog = [True] * len(joints)
+        self._may_read_fast = fast
+        self._reads_fast = False  # until the firmware of all is known
+        self._asks_fast = False
+        self._fast_failures = 0
         start = self.tables[0]["present_position"].address + STREAM_OFFSET
         self._block = (start, STREAM_LENGTH)
         self._current_unit = np.array([table.current_unit or math.nan for table in self.tables])
@@ -89,6 +102,7 @@ class ServoBus:
         """
         missing: list[str] = []
         wrong: list[str] = []
+        fast = self._may_read_fast
         for index, (joint, table) in enumerate(zip(self.joints, self.tables, strict=True)):
             try:
                 number = self.registers.retry(
@@ -103,9 +117,10 @@ class ServoBus:
                     f" not {describe_model(table.number)}"
                 )
                 continue
-            self._watchdog[index] = (
-                self.registers.read(index, "firmware_version") >= WATCHDOG_FIRMWARE
-            )
+            firmware = self.registers.read(index, "firmware_version")
+            self._watchdog[index] = firmware >= WATCHDOG_FIRMWARE
+            first = table.fast_read_firmware
+            fast = fast and first is not None and firmware >= first
         if missing:
             also = f"; also {', '.join(wrong)}" if wrong else ""
             raise BusTimeout(
@@ -117,6 +132,7 @@ class ServoBus:
             raise ServoFault(
                 "; ".join(wrong), where=self.port, hint="correct robot.toml or the ids"
             )
+        self._reads_fast = self._asks_fast = fast
 
     def configure(self) -> None:
         """Torque off, then mode, limits, gains and the speed ceiling; EEPROM only where it differs.
@@ -283,11 +299,12 @@ class ServoBus:
 
     def begin_read(self) -> None:
         """Ask all servos for their state; :meth:`end_read` takes the answers."""
-        self.transport.sync_read_begin(*self._block, self.ids)
+        self.transport.sync_read_begin(*self._block, self.ids, fast=self._asks_fast)
 
     def end_read(self, now: float) -> ServoState:
         """Return the state of the servos that answered; ``now`` becomes its time."""
         answers = self.transport.sync_read_end()
+        self._choose_read(complete=len(answers) == len(self.ids))
         raw = np.full((len(self.ids), 3), np.nan)
         alert = np.zeros(len(self.ids), bool)
         for servo_id, (bit, data) in answers.items():
@@ -306,6 +323,24 @@ class ServoBus:
             seen=~np.isnan(raw[:, 2]),
             alert=alert,
         )
+
+    @property
+    def reads_fast(self) -> bool:
+        """Whether states are read with Fast Sync Read."""
+        return self._reads_fast
+
+    def _choose_read(self, *, complete: bool) -> None:
+        """Choose how the next state is read.
+
+        A servo that is missing in a fast read hides those behind it: after such a read it is asked
+        the plain way, until all are there again. Where that goes on, it stays at the plain way.
+        """
+        if self._asks_fast:
+            self._fast_failures = 0 if complete else self._fast_failures + 1
+            if self._fast_failures >= FAST_FAILURES:
+                self._reads_fast = False
+                log.warning("%s: fast reads keep failing; plain ones from now on", self.port)
+        self._asks_fast = self._reads_fast and complete
 
     def positions(self) -> FloatArray:
         """Return all present positions ``[D]`` rad.

@@ -27,6 +27,8 @@ MAX_ID = 252
 MAX_LENGTH = 1024 - 7
 """Largest LEN field that is believed: packets of up to 1024 bytes."""
 MAX_PACKET = MAX_LENGTH + 7
+FAST_OVERHEAD = 4
+"""Bytes of one servo's part of a fast read's answer beside its data: error, id and CRC."""
 
 PING, READ, WRITE, REG_WRITE, ACTION = 0x01, 0x02, 0x03, 0x04, 0x05
 FACTORY_RESET, REBOOT, CLEAR, BACKUP = 0x06, 0x08, 0x10, 0x20
@@ -126,6 +128,50 @@ def fast_status(entries: list[tuple[int, int, bytes]]) -> list[bytes]:
         crc = crc16(tail, crc)
         pieces.append(piece + tail)
     return pieces
+
+
+def fast_head(length: int, count: int) -> bytes:
+    """Return the head of the answer of ``count`` servos to a fast read of ``length`` bytes each."""
+    size = 1 + count * (length + FAST_OVERHEAD)
+    return HEADER + bytes((BROADCAST, size & 0xFF, size >> 8, STATUS))
+
+
+def fast_answers(answer: bytes, length: int, count: int) -> list[tuple[int, int, bytes]]:
+    """Return ``(error, id, data)`` of the servos whose part of a fast read's answer is intact.
+
+    The first missing or damaged part ends the list: each CRC covers all that came before it.
+
+    Args:
+        answer: The bytes from :func:`fast_head` on, possibly cut off.
+        length: Bytes asked of each servo.
+        count: How many servos were asked.
+    """
+    size = length + FAST_OVERHEAD
+    head = len(HEADER) + 4
+    parts = min(count, (len(answer) - head) // size)
+    if parts == count:
+        whole = answer[: head + count * size]
+        if crc16(whole[:-2]) != whole[-2] | whole[-1] << 8:
+            parts = _intact(whole, size, head)
+    else:
+        parts = _intact(answer[: head + max(0, parts) * size], size, head)
+    return [
+        (answer[at], answer[at + 1], answer[at + 2 : at + 2 + length])
+        for at in range(head, head + parts * size, size)
+    ]
+
+
+def _intact(answer: bytes, size: int, head: int) -> int:
+    """Return how many parts at the beginning of a fast read's answer have a right CRC."""
+    crc, count = crc16(answer[:head]), 0
+    for at in range(head, len(answer), size):
+        part = answer[at : at + size]
+        crc = crc16(part[:-2], crc)
+        if crc != part[-2] | part[-1] << 8:
+            break
+        crc = crc16(part[-2:], crc)
+        count += 1
+    return count
 
 
 @dataclass(frozen=True, slots=True)

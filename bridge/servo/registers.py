@@ -179,6 +179,8 @@ class ControlTable:
     """A per count of the current registers; ``None`` if the model measures no current."""
     firmware: int
     """Firmware version that the table describes."""
+    fast_read_firmware: int | None = None
+    """First firmware that takes part in a Fast Sync Read; ``None`` if none does."""
     spans: tuple[Register, ...] = field(default=())
     """The registers ordered by address."""
 
@@ -263,6 +265,7 @@ def _table(
         stall_current=model["stall_current"],
         current_unit=model.get("current_unit"),
         firmware=model["firmware"],
+        fast_read_firmware=model.get("fast_read_firmware"),
     )
 
 

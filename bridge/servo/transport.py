@@ -43,8 +43,10 @@ class Transport(Protocol):
         """Write to several servos at once; nobody answers."""
         ...
 
-    def sync_read_begin(self, address: int, length: int, ids: Sequence[int]) -> None:
-        """Ask several servos at once."""
+    def sync_read_begin(
+        self, address: int, length: int, ids: Sequence[int], *, fast: bool = False
+    ) -> None:
+        """Ask several servos at once; ``fast`` for one chained answer (Fast Sync Read)."""
         ...
 
     def sync_read_end(self) -> dict[int, tuple[int, bytes]]:

@@ -281,10 +281,10 @@ class VirtualBus:
         delay = 0.0
         whole = True
         for servo_id, address, length in requests:
-            if servo_id not in servos:
+            servo = servos.get(servo_id, [None])[0]
+            if servo is None or not servo.reads_fast:
                 whole = False
                 break
-            servo = servos[servo_id][0]
             delay = max(delay, servo.memory.get("return_delay_time") * RETURN_DELAY_UNIT)
             error, data = servo.read(address, length)
             entries.append((error | servo.alert, servo_id, data))

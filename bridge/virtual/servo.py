@@ -109,6 +109,13 @@ class VirtualServo:
         """The alert bit for the error byte of its status packets."""
         return ALERT if self.memory.get("hardware_error_status") else 0
 
+    @property
+    def reads_fast(self) -> bool:
+        """Whether it takes part in fast reads: by its firmware and Status Return Level."""
+        first = self.table.fast_read_firmware
+        known = first is not None and self.memory.get("firmware_version") >= first
+        return known and self.memory.get("status_return_level") >= 1
+
     def hear(self, now: float) -> None:
         """Note that some packet was on the bus: it feeds the watchdog."""
         self._heard = now

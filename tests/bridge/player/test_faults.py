@@ -19,7 +19,7 @@ from tests.bridge.player.stage import BRISK, ROBOTS, Stage, fault_time, states, 
 
 
 def test_lost_answers_are_coasted_over(tmp_path):
-    stage = Stage(Fault("drop", probability=0.03), seed=2)
+    stage = Stage(Fault("drop", start=fault_time(0), probability=0.1), seed=2)
     performance = stage.play(telemetry=tmp_path / "t.jsonl")
     assert performance.completed
     assert performance.tracking["a"].missed_reads > 5
