@@ -93,7 +93,7 @@ class TrackOutcome:
     contact_recall: float | None
     """Share, 0 to 1, of wanted touches that happen within 5 cm; ``None`` if none was wanted."""
     recoveries: int
-    """How often the controller went back and tried again."""
+    """How often the controller went back and tried again; the rollout's metadata says where."""
     repairs: dict[str, Any]
     """What was changed in the motion before control."""
     least_assist: dict[str, Any] | None
@@ -171,7 +171,7 @@ def outcome(
             person: _p95_mm(ground.floor_penetration(made.lowest)[:, p]) for p, person in _NUMBERED
         },
         contact_recall=_recall(rollout),
-        recoveries=int(info.get("recoveries", 0)),
+        recoveries=len(info.get("recoveries", ())),
         repairs=dict(info.get("repairs", {})),
         least_assist=least_assist,
         cpu_seconds_per_second=cost.cpu / seconds,
