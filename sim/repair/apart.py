@@ -48,7 +48,7 @@ FAR = 0.12
 """Miss, m, from which a label is not believed."""
 MAX_STEP = 0.10
 """Most that a pelvis is moved, m."""
-MAX_BEND = 0.8
+MAX_BEND = 0.5
 """Most that a joint is bent, rad."""
 
 _ROUNDS = 5
@@ -56,7 +56,7 @@ _REACH = 0.10
 """Time to either side over which a change is spread, s."""
 _SOFT = 0.06
 """Standard deviation of the smoothing over time, s."""
-_DAMPING = 1e-3
+_DAMPING = 0.03
 _YIELD = {
     # joint: change of angle, rad, per unit of squared change of keypoints (metres)
     "spine1": 0.4,

@@ -34,7 +34,7 @@ from robots.humanoid import HumanBody
 from robots.skeleton import FloatArray
 from sim.repair.legs import SIDES, move_foot, smoothstep
 
-MAX_PLANT = 0.06
+MAX_PLANT = 0.10
 """Most that a foot is moved, m; also how far off the floor a stance may be to be put on it."""
 MAX_DRIFT = 0.06
 """Most that a person is moved up or down, m."""
@@ -60,7 +60,7 @@ _SLOW = 0.15
 """Low-pass on what is found of the floor, s."""
 _EASE = 0.25
 """Time in which a correction comes and goes where no other stance follows, s."""
-_POLISH = 0.03
+_POLISH = 0.015
 """Low-pass on corrections, s."""
 
 
