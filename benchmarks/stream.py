@@ -3,9 +3,10 @@
     python benchmarks/stream.py [--seconds 3] [--servos 20] [--json]
 
 One virtual bus in its own process, with the wire's timing and without return delay, is written to
-(Sync Write of goals) and read from (Sync Read of 10 bytes: current, velocity, position) as fast as
-it goes. The limit is what the bytes alone need at ten bits each. Then two buses are led at a fixed
-rate, as the player does it, and the time between their commands is measured.
+(Sync Write of goals) and read from (10 bytes: current, velocity, position; by Sync Read, then by
+Fast Sync Read) as fast as it goes. The limit is what the bytes alone need at ten bits each. Then
+two buses are led at a fixed rate, as the player does it, and the time between their commands is
+measured.
 """
 
 from __future__ import annotations
@@ -23,20 +24,24 @@ from pathlib import Path
 import numpy as np
 
 from bridge.servo.bus import STREAM_LENGTH, ServoBus
+from bridge.servo.packets import FAST_OVERHEAD
 from bridge.servo.registers import BAUD_RATES, control_table
 from bridge.servo.sdk_transport import SdkTransport
 from bridge.virtual import PtyServer, VirtualBus, VirtualServo
 from robots.registry import load_robot
 from robots.spec import JointSpec
 
-STATUS_BYTES, INSTRUCTION_BYTES = 11, 14
+STATUS_BYTES, INSTRUCTION_BYTES, FAST_HEAD = 11, 14, 8
 GOAL_BYTES = 4
 
 
-def wire_limit(servos: int, baud: int) -> float:
+def wire_limit(servos: int, baud: int, *, fast: bool) -> float:
     """Return the cycles per second that the bytes of one write and one read leave room for."""
-    size = 2 * INSTRUCTION_BYTES + servos * (1 + GOAL_BYTES)
-    size += servos * (1 + STATUS_BYTES + STREAM_LENGTH)
+    size = 2 * INSTRUCTION_BYTES + servos * (1 + GOAL_BYTES) + servos
+    if fast:
+        size += FAST_HEAD + servos * (FAST_OVERHEAD + STREAM_LENGTH)
+    else:
+        size += servos * (STATUS_BYTES + STREAM_LENGTH)
     return baud / (10 * size)
 
 
@@ -58,7 +63,7 @@ def serve(count: int, baud: int) -> None:
         sys.stdin.read()
 
 
-def start(stack: ExitStack, count: int, baud: int) -> ServoBus:
+def start(stack: ExitStack, count: int, baud: int, *, fast: bool = True) -> ServoBus:
     """Return a configured and armed bus, served by a process of its own."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
     child = subprocess.Popen(
@@ -72,7 +77,8 @@ def start(stack: ExitStack, count: int, baud: int) -> ServoBus:
     assert child.stdin is not None
     assert child.stdout is not None
     stack.callback(child.stdin.close)
-    bus = ServoBus(joints_of(count), SdkTransport(child.stdout.readline().strip(), baud))
+    transport = SdkTransport(child.stdout.readline().strip(), baud)
+    bus = ServoBus(joints_of(count), transport, fast=fast)
     bus.open()
     stack.callback(bus.close)
     bus.identify()
@@ -82,10 +88,10 @@ def start(stack: ExitStack, count: int, baud: int) -> ServoBus:
     return bus
 
 
-def saturate(count: int, baud: int, seconds: float) -> dict[str, float]:
+def saturate(count: int, baud: int, seconds: float, *, fast: bool) -> dict[str, float]:
     """Return how fast one bus goes and how much of a core the client takes."""
     with ExitStack() as stack:
-        bus = start(stack, count, baud)
+        bus = start(stack, count, baud, fast=fast)
         goal = bus.positions()
         cycles = missed = 0
         begin, used = time.perf_counter(), time.process_time()
@@ -95,9 +101,11 @@ def saturate(count: int, baud: int, seconds: float) -> dict[str, float]:
             missed += int((~bus.end_read(0.0).seen).sum())
             cycles += 1
         used = time.process_time() - used
-    limit = wire_limit(count, baud)
+        reads_fast = float(bus.reads_fast)
+    limit = wire_limit(count, baud, fast=fast)
     return {
         "baud": baud,
+        "fast": reads_fast,
         "hz": cycles / passed,
         "wire_limit_hz": limit,
         "share": cycles / passed / limit,
@@ -151,14 +159,19 @@ def main() -> None:
     if args.serve:
         serve(*args.serve)
         return
-    full = [saturate(args.servos, baud, args.seconds) for baud in (1_000_000, 2_000_000, 4_000_000)]
+    full = [
+        saturate(args.servos, baud, args.seconds, fast=fast)
+        for fast in (False, True)
+        for baud in (1_000_000, 2_000_000, 4_000_000)
+    ]
     paced = [pace(args.servos, 2_000_000, rate, args.seconds) for rate in (50.0, 100.0)]
     if args.json:
         print(json.dumps({"saturated": full, "paced": paced}, indent=1))
         return
     for row in full:
         print(
-            f"{row['baud'] / 1e6:.0f} Mbit/s: {row['hz']:6.1f} Hz of {row['wire_limit_hz']:6.1f}"
+            f"{row['baud'] / 1e6:.0f} Mbit/s, {'fast' if row['fast'] else 'plain'}:"
+            f" {row['hz']:6.1f} Hz of {row['wire_limit_hz']:6.1f}"
             f" ({100 * row['share']:.0f} %), client {row['client_core']:.2f} core,"
             f" {row['missed']:.0f} missed"
         )

@@ -29,7 +29,8 @@ _SPEEDS = {
 
 CHUNK = 4096
 BATCH = 0.0005
-"""Answers within this time are handed over together, s: as a USB adapter does with its frames."""
+"""Answers that follow each other within this time, s, are handed over together, when the last is
+due: as a USB adapter does with its frames."""
 
 
 class PtyServer:
@@ -100,8 +101,7 @@ class PtyServer:
             # select, not poll: its timeout is not rounded up to milliseconds.
             wait = None
             if self._due:
-                batch = BATCH if self._timing else 0.0
-                wait = max(0.0, self._due[0][0] + batch - time.monotonic())
+                wait = max(0.0, self._handed_over() - time.monotonic())
             ready, _, _ = select.select((self._master, self._stop_read), (), (), wait)
             if self._stop_read in ready:
                 return
@@ -167,6 +167,16 @@ class PtyServer:
         for due, answer in self.bus.feed(now, data, baud=self._baud):
             self._count += 1
             heapq.heappush(self._due, (due, self._count, answer))
+
+    def _handed_over(self) -> float:
+        """Return when the next answers are handed over: at the end of those close together."""
+        times = sorted(due for due, _, _ in self._due)
+        last = times[0]
+        for due in times:
+            if due - last > BATCH:
+                break
+            last = due
+        return last
 
     def _send(self, now: float) -> None:
         ready = bytearray()

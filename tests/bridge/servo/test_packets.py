@@ -57,10 +57,15 @@ def test_a_fast_read_is_not_unstuffed():
     assert b"\xff\xff\xfd\xfd" in packet.params
 
 
-@given(st.binary(max_size=200))
+@given(st.one_of(st.binary(max_size=200), st.binary(min_size=1000, max_size=1100)))
 def test_the_checksum_agrees_with_the_sdk(data):
     theirs = sdk.Protocol2PacketHandler().updateCRC(0, list(data), len(data))
     assert crc16(data) == theirs
+
+
+@given(st.binary(max_size=300), st.binary(max_size=300))
+def test_a_checksum_goes_on_from_another(first, second):
+    assert crc16(second, crc16(first)) == crc16(first + second)
 
 
 @given(BODIES)
