@@ -104,21 +104,26 @@ def show_outcome(console: Console, outcome: dict[str, Any]) -> None:
             ("below the floor, 95 % of the time", "floor_penetration_p95_mm", 0, " mm"),
         )
     ]
-    help_ = outcome["assist_max_bodyweight"]
+    helped = outcome["assist_max_bodyweight"]
     console.table(
         f"{outcome['simulated_s']:.1f} s with {outcome['controller']}: {_ending(outcome)}",
         ["", "a", "b"],
         rows,
     )
     console.show(
-        f"{_touches(outcome)}; in each other {_inside(outcome)} at most;"
-        f" helped with {help_:.2f} body weights at most;"
+        f"{_recoveries(outcome['recoveries'])}{_touches(outcome)};"
+        f" in each other {_inside(outcome)} at most; helped with {helped:.2f} body weights at most;"
         f" {outcome['cpu_seconds_per_second']:.1f} CPU-s and"
         f" {outcome['wall_seconds_per_second']:.1f} s per second"
     )
     least = outcome["least_assist"]
     if least is not None:
-        console.show("least help: " + ", ".join(f"{key} {value}" for key, value in least.items()))
+        found = (
+            f"{least['force_bodyweight']:.2f} body weights"
+            if least["trackable"]
+            else "no bound suffices"
+        )
+        console.show(f"least help with which nobody falls: {found} ({len(least['tries'])} runs)")
 
 
 def show_batch(console: Console, clips: list[dict[str, Any]]) -> None:

@@ -104,6 +104,13 @@ def test_penetration_of_the_reference_is_that_of_the_motion_as_given(duet, move)
     assert depth > 50
 
 
+def test_recoveries_are_counted(rollout):
+    assert outcome(rollout, COST).recoveries == 0
+    events = [{"lost_at": 0.9, "back_to": 0.2}, {"lost_at": 1.0, "back_to": 0.1}]
+    stumbled = replace(rollout, metadata={**rollout.metadata, "recoveries": events})
+    assert outcome(stumbled, COST).recoveries == 2
+
+
 def test_numbers_that_are_not_finite_are_written_as_null(rollout, tmp_path):
     result = outcome(rollout, COST, least_assist={"force_bodyweight": float("nan")})
     result.save(tmp_path / "track.json")
