@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 from scipy.spatial.transform import Rotation
 
-from generator.kinematics import continuous, from_wxyz, to_wxyz
+from generator.kinematics import continuous, from_wxyz, to_wxyz, unit
 from generator.motion import LEFT_HAND, RIGHT_HAND, Contact
 from robots.humanoid import HumanBody
 from robots.skeleton import FloatArray
@@ -57,6 +57,8 @@ _REACH = 0.10
 _SOFT = 0.06
 """Standard deviation of the smoothing over time, s."""
 _DAMPING = 0.03
+_UPRIGHT = 0.7
+"""Vertical part of a normal from which two feet are taken to be one above the other."""
 _YIELD = {
     # joint: change of angle, rad, per unit of squared change of keypoints (metres)
     "spine1": 0.4,
@@ -162,6 +164,10 @@ def _overlaps(model: Any, data: Any, owner: NDArray) -> list[tuple[FloatArray, f
     deep &= data.contact.dist < -TOLERATED
     for c in np.flatnonzero(deep):
         normal, place = data.contact.frame[c, :3], data.contact.pos[c]
+        if (model.geom_type[data.contact.geom[c]] == mujoco.mjtGeom.mjGEOM_BOX).all():
+            # Flat boxes are least deep upwards, but a foot does not leave another by climbing it.
+            between = np.subtract(*data.geom_xpos[data.contact.geom[c, ::-1]]) * (1.0, 1.0, 0.0)
+            normal = unit(between) if np.abs(normal[2]) > _UPRIGHT else normal
         opens = _jacobian(model, data, bodies[c, 1], place) - _jacobian(
             model, data, bodies[c, 0], place
         )
