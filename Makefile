@@ -7,7 +7,7 @@ SENTENCE ?= two people shake hands
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help demo test test-fast check format bench clean
+.PHONY: help demo test test-fast check format bench bench-track clean
 
 help:
 	@echo "make demo       install, then turn a sentence into two moving puppets (out/)"
@@ -15,6 +15,7 @@ help:
 	@echo "make test-fast  the same without the slow ones"
 	@echo "make check      formatting, lint, types, package borders"
 	@echo "make bench      benchmarks, one figure each"
+	@echo "make bench-track  hours: controllers on 126 duets; may be stopped and goes on"
 	@echo "make clean      remove .venv and everything built"
 
 demo: $(VENV)/.installed
@@ -38,6 +39,11 @@ format: $(VENV)/.installed-dev
 
 bench: $(VENV)/.installed-dev
 	@for file in benchmarks/*.py; do $(BIN)/python $$file || exit 1; done
+
+bench-track: $(VENV)/.installed-dev
+	$(BIN)/python -m benchmarks.tracking $(TRACK)
+	$(BIN)/python -m benchmarks.tracking --ablation
+	$(BIN)/python -m benchmarks.tracking.table
 
 clean:
 	rm -rf $(VENV) build dist out .pytest_cache .ruff_cache .hypothesis .import_linter_cache

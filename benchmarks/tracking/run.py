@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import logging
-import multiprocessing
-import os
 import sys
-import threading
-import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 
 from benchmarks.tracking.results import Record, Results
 from benchmarks.tracking.tasks import Task, perform
 from robots.errors import DuetError
-
-log = logging.getLogger(__name__)
+from sim import batch
+from sim.batch import Lost
 
 Workers = Callable[[Sequence[Task]], Iterable[Record]]
 """Perform tasks and yield their records in the order in which they are done."""
@@ -26,7 +19,7 @@ def run(tasks: Sequence[Task], results: Results, workers: Workers) -> int:
     """Perform the tasks that have no result, append each as it comes; return how many those were.
 
     Raises:
-        DuetError: The workers died; what they had finished is on disk.
+        DuetError: Some tasks have no result; all others are on disk.
     """
     done = results.read()
     pending = [task for task in tasks if task.key not in done]
@@ -40,46 +33,20 @@ def run(tasks: Sequence[Task], results: Results, workers: Workers) -> int:
 
 
 def in_processes(jobs: int) -> Workers:
-    """Return workers in ``jobs`` processes with one BLAS thread each."""
+    """Return workers in ``jobs`` processes; they outlive the death of any of them."""
 
     def workers(tasks: Sequence[Task]) -> Iterator[Record]:
-        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-            os.environ[name] = "1"  # read when the new process imports numpy
-        pool = ProcessPoolExecutor(
-            jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_start
-        )
-        crashed = 0
-        try:
-            for future in as_completed([pool.submit(perform, task) for task in tasks]):
-                try:
-                    yield future.result()
-                except BrokenProcessPool as error:
-                    raise DuetError(
-                        "a process died", hint="run again; what is done is not done anew"
-                    ) from error
-                except Exception:  # a bug that one clip found; the others have hours before them
-                    crashed += 1
-                    traceback.print_exc()
-        finally:
-            pool.shutdown(cancel_futures=True)
-        if crashed:
-            raise DuetError(f"{crashed} clips crashed", hint="see above, then run again")
+        lost = 0
+        for task, record in batch.in_processes(perform, tasks, jobs):
+            if isinstance(record, Lost):  # others may have hours before them, so go on
+                lost += 1
+                note(f"{task.clip.set}/{task.clip.name} {task.controller}: {record.why}")
+            else:
+                yield record
+        if lost:
+            raise DuetError(f"{lost} clips have no result", hint="see above, then run again")
 
     return workers
-
-
-def _start() -> None:
-    """Be quiet, and end with the parent even if it is killed: a pool's process would wait on."""
-    logging.disable(logging.WARNING)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        sentinel = parent
-
-        def follow() -> None:
-            sentinel.join()
-            os._exit(1)
-
-        threading.Thread(target=follow, daemon=True).start()
 
 
 def _line(record: Record) -> str:

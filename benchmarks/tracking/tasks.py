@@ -24,11 +24,9 @@ from robots.files import plain
 from sim.metrics.tracking import acceleration_error
 from sim.outcome import Cost, outcome
 from sim.rollout import Rollout
-from sim.scene import AssistLimits
 from sim.track import TrackSettings, track
 
 SCHEMA = "pasdedeux.bench-track/1"
-UNAIDED = AssistLimits(max_force=0.0, max_torque=0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,13 +46,12 @@ class Task:
 
     @property
     def settings(self) -> TrackSettings:
-        """The settings: only the controller ``assist`` gets a helping hand.
+        """The controller's defaults, with :attr:`options` in their place.
 
         Raises:
             SpecError: There is no such controller, or an option has no sensible value.
         """
-        assist = AssistLimits() if self.controller == "assist" else UNAIDED
-        settings = TrackSettings(controller=self.controller, assist=assist)
+        settings = TrackSettings(controller=self.controller)
         if not self.options:
             return settings
         own = replace(getattr(settings, self.controller), **self.options)
