@@ -39,6 +39,8 @@ _LEVER = 0.2
 _REACH = 0.04
 """Height above the floor, m, up to which a sole corner may push."""
 _ITERATIONS = 150
+_BLOCK = 128
+"""Moments whose floor forces are solved at once."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,12 +120,21 @@ def _cost(corners: NDArray, rate: float) -> FloatArray:
 def _floor_forces(arms: NDArray, wrench: NDArray, cost: NDArray, weight: float) -> FloatArray:
     """Return the forces ``[N, C, 3]`` N at sole corners that best give a wrench at the pelvis.
 
+    Moments are independent of each other; a block of them at a time stays in the processor's cache,
+    and the memory taken does not grow with the motion.
+
     Args:
         arms: ``[N, C, 3]`` m, from the pelvis to the corners.
         wrench: ``[N, 6]`` wanted force N and torque N m.
         cost: ``[N, C]`` reluctance; infinite where no push is possible.
         weight: Body weight, N.
     """
+    blocks = [slice(at, at + _BLOCK) for at in range(0, len(arms), _BLOCK)]
+    return np.concatenate([_pushes(arms[b], wrench[b], cost[b], weight) for b in blocks])
+
+
+def _pushes(arms: NDArray, wrench: NDArray, cost: NDArray, weight: float) -> FloatArray:
+    """Return the same for one block."""
     edges = np.array([[FRICTION, 0, 1], [-FRICTION, 0, 1], [0, FRICTION, 1], [0, -FRICTION, 1]])
     forces = np.broadcast_to(edges, (*arms.shape[:2], 4, 3))
     columns = np.concatenate([forces, np.cross(arms[:, :, None], forces) / _LEVER], axis=-1)
