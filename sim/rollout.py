@@ -85,7 +85,7 @@ class Rollout:
     metadata: dict[str, Any] = field(default_factory=dict)
     """Plain JSON: ``text``, ``source``, ``licence``, ``seed``, ``interaction``, ``contacts``,
     ``controller``, ``settings``, ``input_sha256``, ``duration_s`` (of the motion),
-    ``mujoco_version``, ``ground_shift``, ``foot_lift``; what the controller says of the run, such
+    ``mujoco_version``, ``ground_shift``, ``repairs``; what the controller says of the run, such
     as ``recoveries`` and ``ended``."""
 
     def __post_init__(self) -> None:
