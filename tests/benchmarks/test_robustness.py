@@ -5,6 +5,7 @@ import pytest
 
 from benchmarks.tracking.robustness import CONDITIONS, Grip, table, trials_of
 from sim.disturbance import NONE
+from sim.scene import AssistLimits
 
 PUSH = next(c for c in CONDITIONS if c.name.startswith("push 100"))
 
@@ -50,7 +51,7 @@ def test_nobody_may_turn_back_time(pushes):
     settings = pushes[0].settings
     assert settings.ilqr.recovery == 0
     assert settings.disturbance.pushes
-    assert settings.assist.max_force == 0
+    assert settings.assist == AssistLimits(max_force=0, max_torque=0)
 
 
 def test_trials_can_be_sent_to_another_process(pushes):
@@ -74,4 +75,4 @@ def test_the_table_counts_who_stood_and_leaves_out_what_was_not_tried(pushes):
 def test_one_row_is_without_any_disturbance():
     (trial,) = trials_of(CONDITIONS[0], "assist", most=1)
     assert trial.disturbance == NONE
-    assert trial.settings.assist.max_force > 0
+    assert trial.settings.assist == AssistLimits()
