@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robots.errors import SimDiverged
 from sim.controllers.base import Progress, Trace, quiet_mujoco, reference_qvel
 from sim.controllers.guide import AssistGuide
 from sim.controllers.ilqr.cost import TrackingCost
@@ -40,6 +41,10 @@ _KEEP = 0.25
 """Time between states to go back to, s."""
 _BACK, _BACK_MORE = 0.7, 0.5
 """How far to go back, s, and how much further with every failure at the same place."""
+_TRIES = 3
+"""How often the same half second is tried anew."""
+_WAYPOINTS = 12
+"""How many states to go back to are kept: 3 s, further than any try goes back."""
 _PAST = 0.5
 """How long after the trouble the extra effort lasts, s."""
 _AFTER_FALL = 0.5
@@ -86,8 +91,21 @@ class IlqrController:
         Ends early, half a second after a person fell whom no recovery saved; ``facts["ended"]``
         then says so.
         """
+        rounds = 1 + self.settings.refinements
         with quiet_mujoco(), ThreadPoolExecutor(self.settings.threads) as pool:
-            return _Run(self.settings, scene, reference, disturbance, pool).to_end(progress)
+
+            def perform(i: int, earlier: Trace | None) -> tuple[Trace, float]:
+                run = _Run(self.settings, scene, reference, disturbance, pool, earlier)
+                trace = run.to_end(partial(_share, progress, i, rounds) if progress else None)
+                return trace, np.inf if run.fallen is not None else run.error
+
+            best, least = perform(0, None)
+            for i in range(1, rounds):
+                trace, error = perform(i, best)
+                if error >= least:
+                    break
+                best, least = trace, error
+        return best
 
 
 class _Run:
@@ -100,6 +118,7 @@ class _Run:
         reference: Reference,
         disturbance: Disturbance,
         pool: ThreadPoolExecutor,
+        earlier: Trace | None = None,
     ) -> None:
         self.settings, self.scene, self.reference = settings, scene, reference
         self.pool = pool
@@ -108,9 +127,18 @@ class _Run:
         self.goal_keypoints = scene.keypoints(self.goal)
         self.people = [person_model(scene, p, ghost=settings.ghost) for p in range(2)]
         self.guide = AssistGuide(scene, reference)
-        self.planners = _planners(settings, scene, reference, self.goal, self.people, self.guide)
+        self.planners = _planners(
+            settings, scene, reference, self.goal, self.people, self.guide, earlier
+        )
         self.recovery = _Recovery()
         self.fallen: int | None = None
+
+    @property
+    def error(self) -> float:
+        """Mean distance of all keypoints from their goals so far, m."""
+        keypoints = self.scene.keypoints(self.simulation.trace().qpos)
+        off = keypoints - self.goal_keypoints[: len(keypoints)]
+        return float(np.linalg.norm(off, axis=-1).mean())
 
     def to_end(self, progress: Progress | None) -> Trace:
         """Run, and return what happened."""
@@ -125,7 +153,11 @@ class _Run:
                 self.fallen = simulation.tick
             if self.fallen is not None and simulation.tick >= self.fallen + _AFTER_FALL * rate:
                 break
-            self._advance()
+            try:
+                self._advance()
+            except (SimDiverged, np.linalg.LinAlgError) as error:
+                if not self._go_back():
+                    raise self._diverged() from error
             if progress is not None:
                 progress(simulation.tick / last)
         return replace(simulation.trace(), facts=self._facts())
@@ -155,6 +187,16 @@ class _Run:
             self.guide.set(data, tick, p, self.scene.maps[p])
         simulation.step()
 
+    def _diverged(self) -> SimDiverged:
+        """Return what to raise where the physics, or a plan in it, ran into absurd numbers."""
+        time = self.simulation.tick / self.reference.rate
+        return SimDiverged(
+            f"the physics diverged at {time:.3f} s",
+            hint="check the motion there: a jump or people deep inside each other",
+            time=time,
+            trace=replace(self.simulation.trace(), facts=self._facts()),
+        )
+
     def _lost(self, distance: float) -> bool:
         """Return whether a person is further than this, m, from its goal on average."""
         now = self.scene.keypoints(self.simulation.data.qpos[None])[0]
@@ -164,14 +206,16 @@ class _Run:
     def _keep(self) -> None:
         plans = self.planners[0].state, self.planners[1].state
         self.recovery.waypoints.append(_Waypoint(self.simulation.snapshot(), plans))
+        del self.recovery.waypoints[:-_WAYPOINTS]
 
     def _go_back(self) -> bool:
         """Return to before the trouble with more effort; False if that was tried often enough."""
         recovery, rate, tick = self.recovery, self.reference.rate, self.simulation.tick
-        if len(recovery.events) >= self.settings.recovery or self.fallen is not None:
-            return False
         place = int(tick / (0.5 * rate))
         again = recovery.tries.get(place, 0)
+        spent = len(recovery.events) >= self.settings.recovery or again >= _TRIES
+        if spent or self.fallen is not None:
+            return False
         recovery.tries[place] = again + 1
         target = tick - (_BACK + _BACK_MORE * again) * rate
         while len(recovery.waypoints) > 1 and recovery.waypoints[-1].snapshot.tick > target:
@@ -185,7 +229,7 @@ class _Run:
         for planner, plan in zip(self.planners, waypoint.plans, strict=True):
             planner.state = plan
             planner.iterations = 3 + again
-            planner.derivatives.tolerance = 0.0
+            planner.derivatives.tolerance = min(1.0, self.settings.cache)
             planner.regularisation = self.settings.regularisation * (10 if again % 2 else 1)
         return True
 
@@ -221,24 +265,29 @@ def _planners(
     goal: NDArray,
     people: list[PersonModel],
     guide: AssistGuide,
+    earlier: Trace | None,
 ) -> list[Planner]:
-    """Return the planners of both people."""
+    """Return the planners of both people; controls of an earlier run are what they deviate from."""
     speed = reference_qvel(scene, reference)
     nominal = nominal_targets(scene, reference, settings.feed_forward)
     nominal = nominal.reshape(*nominal.shape[:2], -1)
+    reach = [[b.effort(n) / b.stiffness(n) for n in b.skeleton.names[1:]] for b in scene.bodies]
+    span = settings.effort_factor * np.repeat(reach, 3, axis=1)
+    bounds = nominal - span, nominal + span
+    if earlier is not None:
+        ctrl = [earlier.ctrl[:-1, at.targets.reshape(-1)] for at in scene.maps]
+        nominal = np.stack(ctrl, axis=1)
     poses = [person.poses(goal[:, person.qpos]) for person in people]
     touches = find_touches(scene.bodies, poses, reference.contacts, reference.rate)
     out = []
     for p, person in enumerate(people):
         cost = TrackingCost(person, goal[:, person.qpos], speed[:, person.qvel], settings.weights)
-        body = person.body
-        reach = [body.effort(n) / body.stiffness(n) for n in body.skeleton.names[1:]]
         out.append(
             Planner(
                 person,
                 cost,
                 nominal[:, p],
-                np.repeat(settings.effort_factor * np.array(reach), 3),
+                (bounds[0][:, p], bounds[1][:, p]),
                 settings,
                 rate=reference.rate,
                 touches=touches[p],
@@ -246,6 +295,10 @@ def _planners(
             )
         )
     return out
+
+
+def _share(progress: Progress, i: int, rounds: int, share: float) -> None:
+    progress((i + share) / rounds)
 
 
 def _guided(guide: AssistGuide, p: int, person: PersonModel, data: Any, tick: int) -> None:

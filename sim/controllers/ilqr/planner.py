@@ -74,7 +74,7 @@ class Planner:
         person: PersonModel,
         cost: TrackingCost,
         nominal: NDArray,
-        limit: NDArray,
+        bounds: tuple[NDArray, NDArray],
         settings: IlqrSettings,
         *,
         rate: float,
@@ -87,7 +87,7 @@ class Planner:
             person: Who plans.
             cost: What to keep small.
             nominal: ``[N, nu]`` targets that follow the reference if nothing disturbs.
-            limit: ``[nu]`` rad, how far controls may be from them.
+            bounds: Least and largest controls, ``[N, nu]`` rad each.
             settings: How to plan.
             rate: Ticks per second.
             touches: Points to meet the partner with.
@@ -98,7 +98,7 @@ class Planner:
         self.iterations, self.regularisation = settings.iterations, settings.regularisation
         self.derivatives = KnotDerivatives(person, settings.cache, exact=settings.exact)
         self._settings, self._touches, self._guide = settings, touches, guide
-        self._nominal, self._limit = nominal, limit
+        self._nominal, self._bounds = nominal, bounds
         self._data = mujoco.MjData(person.model)
         self._plan: _Plan | None = None
         self._partner: Forecast | None = None
@@ -355,8 +355,9 @@ class Planner:
         return out
 
     def _bounded(self, tick: int, control: NDArray) -> FloatArray:
-        nominal = self._nominal[self._last(tick)]
-        return np.clip(control, nominal - self._limit, nominal + self._limit)
+        low, high = self._bounds
+        i = self._last(tick)
+        return np.clip(control, low[i], high[i])
 
     def _last(self, tick: int) -> int:
         return min(tick, len(self._nominal) - 1)

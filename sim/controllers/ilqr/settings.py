@@ -84,6 +84,8 @@ class IlqrSettings:
     """Share of the torque of inverse dynamics in the nominal targets."""
     recovery: int = 8
     """Most times to go back and try harder; 0 never."""
+    refinements: int = 0
+    """Further runs of the whole clip, each starting from the controls of the best so far."""
     exact: bool = False
     """Whether derivatives are taken in full instead of the quick way."""
     threads: int = 2
@@ -102,9 +104,18 @@ class IlqrSettings:
             "cache": (0.0, 20.0),
             "feed_forward": (0.0, 1.5),
             "recovery": (0, 100),
+            "refinements": (0, 10),
             "threads": (1, 2),
         }
         for name, (low, high) in bounds.items():
             value = getattr(self, name)
             if not low <= value <= high:
                 raise SpecError(f"{value}", where=f"ilqr.{name}", allowed=f"{low:g} to {high:g}")
+
+
+QUALITIES: dict[str, IlqrSettings] = {
+    "preview": IlqrSettings(horizon=0.4, replan=6, cache=5.0, recovery=2),
+    "normal": IlqrSettings(),
+    "high": IlqrSettings(replan=2, iterations=2, cache=1.5, refinements=1),
+}
+"""Ready-made settings, by name."""

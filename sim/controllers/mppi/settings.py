@@ -41,7 +41,7 @@ class MppiSettings:
         SpecError: A value makes no sense.
     """
 
-    samples: int = 256
+    samples: int = 64
     """Variants per plan. Cost grows in proportion; 64 keep walkers up, 24 hardly."""
     horizon: float = 0.6
     """How far a plan looks, s."""
