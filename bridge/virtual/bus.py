@@ -23,6 +23,7 @@ from bridge.servo import packets
 from bridge.servo.packets import Packet, Parser
 from bridge.servo.registers import BAUD_RATES, RETURN_DELAY_UNIT
 from bridge.virtual.faults import FaultPlan
+from bridge.virtual.plant import Plant
 from bridge.virtual.servo import VirtualServo
 
 SILENCE = 0.05
@@ -49,6 +50,7 @@ class VirtualBus:
         *,
         baud: int | None = None,
         faults: FaultPlan | None = None,
+        plant: Plant | None = None,
     ) -> None:
         """Connect servos.
 
@@ -56,10 +58,12 @@ class VirtualBus:
             servos: In any order. Two with the same id both answer, as on a real bus.
             baud: bit/s for the wire's timing; ``None`` for an infinitely fast wire.
             faults: What goes wrong.
+            plant: The body that all the servos move together; ``None`` if each turns for itself.
         """
         self.servos = list(servos)
         self.baud = baud
         self.faults = faults or FaultPlan()
+        self.plant = plant
         self.instructions = 0
         """Instruction packets understood so far."""
         self._parser = Parser()
@@ -94,6 +98,9 @@ class VirtualBus:
             for servo in self.servos:
                 if servo_id in (None, servo.id):
                     servo.trip(bit)
+        if self.plant is not None:
+            self.plant.advance(now)
+            return
         for servo in self.servos:
             servo.advance(now)
 

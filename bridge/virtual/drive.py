@@ -91,9 +91,15 @@ class Drive:
 
     settings: DriveSettings
 
-    def __init__(self, table: ControlTable, angle: float) -> None:
-        """Put the horn at an angle, rad; call :meth:`use` before :meth:`run`."""
-        self.motor = Motor(table.no_load_speed, angle=angle)
+    def __init__(self, table: ControlTable, angle: float, motor: Motor | None = None) -> None:
+        """Put the horn at an angle, rad; call :meth:`use` before :meth:`run`.
+
+        Args:
+            table: Control table of the model.
+            angle: Of the horn, rad.
+            motor: What turns it, at that angle; the default moves nothing but itself.
+        """
+        self.motor = motor or Motor(table.no_load_speed, angle=angle)
         self.profile = Profile()
         self._voltage = table.voltage
         self._still = False

@@ -126,15 +126,19 @@ class Motor:
         acceleration = (drive - load) * self.no_load_speed / MECHANICAL_TIME
         self.velocity += acceleration * dt
         self.angle += self.velocity * dt
-        heat = STALL_HEAT * drive * drive - (self.temperature - AMBIENT)
-        self.temperature += heat * dt / THERMAL_TIME
+        self.warm(dt)
 
     def coast(self, dt: float) -> None:
         """Advance by ``dt`` s without torque: the gearbox stops the horn and holds it."""
         self.duty = self.current = self.error_sum = 0.0
         self.velocity *= math.exp(-dt / FRICTION_TIME)
         self.angle += self.velocity * dt
-        self.temperature += (AMBIENT - self.temperature) * dt / THERMAL_TIME
+        self.warm(dt)
+
+    def warm(self, dt: float) -> None:
+        """Advance only the temperature by ``dt`` s, under the present current."""
+        heat = STALL_HEAT * self.current * self.current - (self.temperature - AMBIENT)
+        self.temperature += heat * dt / THERMAL_TIME
 
     def rest(self, dt: float) -> None:
         """Advance only the temperature by ``dt`` s: nothing moves and the current stays."""

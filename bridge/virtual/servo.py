@@ -65,6 +65,7 @@ class VirtualServo:
         angle: float = 0.0,
         baud_index: int = 1,
         load: Callable[[float], float] | None = None,
+        drive: Drive | None = None,
     ) -> None:
         """Power the servo up.
 
@@ -74,6 +75,7 @@ class VirtualServo:
             angle: Where the horn stands, rad from tick 2048.
             baud_index: Value of its Baud Rate register.
             load: Torque against positive motion as share of stall torque, from the angle in rad.
+            drive: What moves the horn, instead of a motor of its own at ``angle``.
         """
         self.table = table
         self.id = servo_id
@@ -83,7 +85,7 @@ class VirtualServo:
         self.memory = Memory(table)
         self.memory.set("id", servo_id)
         self.memory.set("baud_rate", baud_index)
-        self.drive = Drive(table, angle)
+        self.drive = drive or Drive(table, angle)
         self.motor, self.profile = self.drive.motor, self.drive.profile
         self.supply = table.voltage
         """V at the connector; tests may change it."""
@@ -96,6 +98,7 @@ class VirtualServo:
         self._overload = 0.0
         last = table["present_position"].end
         self._fast_block = (last - 10, last)
+        self._goal = table["goal_position"]
         self._power_up()
 
     # -- what the bus asks ------------------------------------------------------------------------
@@ -130,6 +133,15 @@ class VirtualServo:
 
     def write(self, address: int, data: bytes) -> int:
         """Write bytes if every rule allows it, else nothing; return the error code."""
+        goal = self._goal
+        if address == goal.address and len(data) == goal.length:
+            # Goals are what a player writes all the time: those that no rule can forbid go by here.
+            value = int.from_bytes(data, "little", signed=goal.signed)
+            low, high = self._free_goals
+            if low <= value <= high:
+                self.memory.set("goal_position", value)
+                self.drive.aim(self._angle(value))
+                return 0
         writes, error = self.memory.plan(address, data)
         if error:
             return error
@@ -140,10 +152,7 @@ class VirtualServo:
                 return error
         for name, value in writes:
             self._apply(name, value)
-        if len(writes) == 1 and writes[0][0] == "goal_position" and self._plain_goals:
-            self.drive.aim(self._angle(writes[0][1]))
-        else:
-            self._reload()
+        self._reload()
         return 0
 
     def register_write(self, address: int, data: bytes) -> int:
@@ -242,16 +251,10 @@ class VirtualServo:
 
     def _ticks(self, angle: float) -> int:
         """Return the position register's count for a horn angle."""
-        count = angle / POSITION_UNIT
-        if self.memory.get("drive_mode") & REVERSE:
-            count = -count
-        return round(count) + TICKS_PER_TURN // 2 + self.memory.get("homing_offset")
+        return round(self._sign * angle / POSITION_UNIT) + self._zero
 
     def _angle(self, ticks: int) -> float:
-        count = ticks - TICKS_PER_TURN // 2 - self.memory.get("homing_offset")
-        if self.memory.get("drive_mode") & REVERSE:
-            count = -count
-        return count * POSITION_UNIT
+        return self._sign * (ticks - self._zero) * POSITION_UNIT
 
     def _check(self, name: str, value: int, torque: bool) -> int:
         """Return the error that forbids a write, or 0."""
@@ -301,9 +304,23 @@ class VirtualServo:
         self.id, self._shadow, self.baud_index = get("id"), get("shadow_id"), get("baud_rate")
         self._voltages = (get("min_voltage_limit"), get("max_voltage_limit"))
         self._hottest = get("temperature_limit")
-        self._plain_goals = not get("drive_mode") & (TIME_BASED | TORQUE_BY_GOAL)
+        self._sign = -1 if get("drive_mode") & REVERSE else 1
+        self._zero = TICKS_PER_TURN // 2 + get("homing_offset")
+        self._free_goals = self._goals_without_rule()
+        self._shown = (math.nan, math.nan, math.nan)
         self._watchdog = max(0, get("bus_watchdog")) * WATCHDOG_UNIT
         self.drive.use(DriveSettings.of(memory, self._angle(get("goal_position")), self.profile))
+
+    def _goals_without_rule(self) -> tuple[int, int]:
+        """Return a range of goals that can be taken as they are; empty if some rule may object."""
+        get = self.memory.get
+        if get("drive_mode") & (TIME_BASED | TORQUE_BY_GOAL):
+            return 0, -1
+        if get("bus_watchdog") == WATCHDOG_TRIPPED:
+            return 0, -1
+        if get("operating_mode") != MODE_POSITION:
+            return -EXTENDED_RANGE, EXTENDED_RANGE
+        return self.memory.bound(self._goal.min), self.memory.bound(self._goal.max)
 
     def _trip_watchdog(self) -> None:
         """Stop where the horn is, until the watchdog is cleared."""
@@ -353,13 +370,13 @@ class VirtualServo:
         memory.set("position_trajectory", self._ticks(self.profile.position))
         memory.set("realtime_tick", int(self._time * 1e3) % 32768)
 
-    @property
-    def _sign(self) -> int:
-        return -1 if self.memory.get("drive_mode") & REVERSE else 1
-
     def _publish_motion(self) -> int:
         """Write current or load, velocity and position; return the velocity's count."""
         motor, memory, table, sign = self.motor, self.memory, self.table, self._sign
+        state = (motor.angle, motor.velocity, motor.current)
+        if state == self._shown:
+            return memory.get("present_velocity")
+        self._shown = state
         speed = round(sign * motor.velocity / VELOCITY_UNIT)
         memory.set("present_position", self._ticks(motor.angle))
         memory.set("present_velocity", speed)
