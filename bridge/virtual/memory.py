@@ -10,11 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cache
+from struct import Struct
 
 from bridge.servo.packets import ERROR_ACCESS, ERROR_LENGTH
 from bridge.servo.registers import Area, Bound, ControlTable, Register
 
 SIZE = 1024
+_FORMATS = {1: "<b", 2: "<h", 4: "<i"}
+"""Of signed registers by length; unsigned ones have the capital letter."""
 
 
 class Memory:
@@ -23,16 +26,13 @@ class Memory:
     def __init__(self, table: ControlTable) -> None:
         """Fill with factory values."""
         self.table = table
-        self._registers, self._starts, self._data = _layout(table)
-        self._spans = {
-            name: (register.address, register.end, register.signed)
-            for name, register in self._registers.items()
-        }
+        self._registers, self._starts, self._data, self._codecs = _layout(table)
         self._insides = {
             address
             for register in self._registers.values()
             for address in range(register.address + 1, register.end)
         }
+        self._first_data = min(self._data, default=SIZE)
         self._bytes = bytearray(SIZE)
         self.reset("eeprom")
         self.reset("ram")
@@ -43,13 +43,13 @@ class Memory:
 
     def get(self, name: str) -> int:
         """Return a register's value."""
-        start, end, signed = self._spans[name]
-        return int.from_bytes(self._bytes[start:end], "little", signed=signed)
+        codec, start = self._codecs[name]
+        return codec.unpack_from(self._bytes, start)[0]
 
     def set(self, name: str, value: int) -> None:
         """Set a register without asking any rule."""
-        start, end, signed = self._spans[name]
-        self._bytes[start:end] = value.to_bytes(end - start, "little", signed=signed)
+        codec, start = self._codecs[name]
+        codec.pack_into(self._bytes, start, value)
 
     def bound(self, bound: Bound) -> int:
         """Return the value of a bound: a number, a register's value or the negative of one."""
@@ -73,9 +73,10 @@ class Memory:
         """Return (error, bytes); undefined addresses read as zero."""
         if length < 1 or address + length > SIZE:
             return ERROR_ACCESS, b""
-        if self._data.keys().isdisjoint(range(address, address + length)):
-            return 0, bytes(self._bytes[address : address + length])
-        return 0, bytes(self._bytes[self._target(at)] for at in range(address, address + length))
+        end = address + length
+        if end <= self._first_data or self._data.keys().isdisjoint(range(address, end)):
+            return 0, bytes(self._bytes[address:end])
+        return 0, bytes(self._bytes[self._target(at)] for at in range(address, end))
 
     def plan(self, address: int, data: bytes) -> tuple[list[tuple[str, int]], int]:
         """Return the register writes that bytes at an address mean, and an error code.
@@ -120,10 +121,11 @@ class Memory:
 @cache
 def _layout(
     table: ControlTable,
-) -> tuple[dict[str, Register], dict[int, Register], dict[int, int]]:
-    """Return registers by name and by first byte, and the pointer of each indirect data byte.
+) -> tuple[dict[str, Register], dict[int, Register], dict[int, int], dict[str, tuple[Struct, int]]]:
+    """Return registers by name and by first byte, pointers, and how to pack each register.
 
-    An indirect data byte that points to itself (the default) is a byte of free memory.
+    The pointers are those of the indirect data bytes, by the address of the byte. An indirect data
+    byte that points to itself (the default) is a byte of free memory.
     """
     registers = dict(table.registers)
     data: dict[int, int] = {}
@@ -139,4 +141,12 @@ def _layout(
             data[byte] = pointer
             number += 1
     starts = {register.address: register for register in registers.values()}
-    return registers, starts, data
+    codecs = {
+        name: (Struct(_format(register)), register.address) for name, register in registers.items()
+    }
+    return registers, starts, data, codecs
+
+
+def _format(register: Register) -> str:
+    code = _FORMATS[register.length]
+    return code if register.signed else code.upper()

@@ -241,6 +241,7 @@ class VirtualServo:
         self.memory.set("firmware_version", self.table.firmware)
         if self.memory.get("operating_mode") == MODE_POSITION:
             self._one_turn()
+        self._reload()
         self.memory.set("goal_position", self._ticks(self.motor.angle))
         self.registered = None
         self._overload = 0.0
