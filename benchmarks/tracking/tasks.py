@@ -48,10 +48,14 @@ class Task:
     def settings(self) -> TrackSettings:
         """The controller's defaults, with :attr:`options` in their place.
 
+        Processes side by side have one core each, so that ``ilqr`` plans on one thread then.
+
         Raises:
             SpecError: There is no such controller, or an option has no sensible value.
         """
         settings = TrackSettings(controller=self.controller)
+        if self.jobs > 1:
+            settings = replace(settings, ilqr=replace(settings.ilqr, threads=1))
         if not self.options:
             return settings
         own = replace(getattr(settings, self.controller), **self.options)
