@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from robots.errors import SimDiverged
 from sim.controllers.base import Progress, Trace, quiet_mujoco, reference_qvel
@@ -92,7 +93,9 @@ class IlqrController:
         then says so.
         """
         rounds = 1 + self.settings.refinements
-        with quiet_mujoco(), ThreadPoolExecutor(self.settings.threads) as pool:
+        # Matrices of this size are multiplied several times slower by two threads than by one.
+        one_each = threadpool_limits(limits=1, user_api="blas")
+        with quiet_mujoco(), one_each, ThreadPoolExecutor(self.settings.threads) as pool:
 
             def perform(i: int, earlier: Trace | None) -> tuple[Trace, float]:
                 run = _Run(self.settings, scene, reference, disturbance, pool, earlier)
