@@ -38,6 +38,8 @@ FAST_FAILURES = 10
 STREAM_OFFSET, STREAM_LENGTH = -6, 10
 """The block read in every tick, from Present Position: current or load (2 bytes), velocity (4),
 position (4)."""
+STREAM_BLOCK = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
+"""The same, as numpy reads it."""
 
 
 class ServoBus:
@@ -68,14 +70,14 @@ class ServoBus:
             [joint.servo.direction for joint in joints],
             [joint.servo.ratio for joint in joints],
         )
-        self._index = {servo_id: index for index, servo_id in enumerate(self.ids)}
         self._watchdog = [True] * len(joints)
         self._may_read_fast = fast
         self._reads_fast = False  # until the firmware of all is known
         self._asks_fast = False
         self._fast_failures = 0
-        start = self.tables[0]["present_position"].address + STREAM_OFFSET
-        self._block = (start, STREAM_LENGTH)
+        self._goal_address = self.tables[0]["goal_position"].address
+        self._state_address = self.tables[0]["present_position"].address + STREAM_OFFSET
+        self._velocity_unit = self.scale.velocity_scale
         self._current_unit = np.array([table.current_unit or math.nan for table in self.tables])
 
     @property
@@ -146,10 +148,15 @@ class ServoBus:
         if errors:
             raise errors[0]
         for index in range(len(self.ids)):
-            self._require_plain(index)
+            self.require_plain(index)
             self._configure_one(index)
 
-    def _require_plain(self, index: int) -> None:
+    def require_plain(self, index: int) -> None:
+        """Make sure that a servo has no latched error and no offset or reversal of its own.
+
+        Raises:
+            ServoFault: It has.
+        """
         status = self.registers.read(index, "hardware_error_status")
         if status:
             raise self.registers.hardware_fault(index, status)
@@ -163,15 +170,20 @@ class ServoBus:
                     hint="set it to 0 and put zero and direction into robot.toml",
                 )
 
-    def _configure_one(self, index: int) -> None:
-        joint, servo = self.joints[index], self.joints[index].servo
-        self.registers.settle(index, "return_delay_time", 0)
-        mode = OPERATING_MODES[servo.mode]
-        self.registers.settle(index, "operating_mode", mode)
+    def permanent(self, index: int) -> dict[str, int]:
+        """Return what the EEPROM of a servo must hold to play the robot's part, by register."""
+        servo = self.joints[index].servo
+        wanted = {"return_delay_time": 0, "operating_mode": OPERATING_MODES[servo.mode]}
         if servo.mode == "position":
             low, high = sorted(int(tick) for tick in self._limits_in_ticks(index))
-            self.registers.settle(index, "min_position_limit", max(0, low))
-            self.registers.settle(index, "max_position_limit", min(TICKS_PER_TURN - 1, high))
+            wanted["min_position_limit"] = max(0, low)
+            wanted["max_position_limit"] = min(TICKS_PER_TURN - 1, high)
+        return wanted
+
+    def _configure_one(self, index: int) -> None:
+        joint, servo = self.joints[index], self.joints[index].servo
+        for name, value in self.permanent(index).items():
+            self.registers.settle(index, name, value)
         for gain in ("p", "i", "d"):
             value = getattr(servo, gain)
             if value is not None:
@@ -189,17 +201,14 @@ class ServoBus:
 
     # -- torque -----------------------------------------------------------------------------------
 
-    def hold_present(self, tolerance: float) -> FloatArray:
-        """Make every goal the present position and return it ``[D]`` rad; torque must be off.
-
-        A joint that stands slightly outside its limits gets the limit as goal.
+    def standing(self, tolerance: float) -> FloatArray:
+        """Return where the joints stand ``[D]`` rad; the limit for one slightly outside.
 
         Args:
             tolerance: How far outside a joint may stand, rad.
 
         Raises:
-            ServoFault: A joint stands outside its limits, or a goal reads back differently: torque
-                on would make it jump.
+            ServoFault: A joint stands outside its limits.
         """
         present = self.positions()
         lower = np.array([joint.lower for joint in self.joints])
@@ -212,7 +221,21 @@ class ServoBus:
                 allowed=f"{lower[index]:.3f} to {upper[index]:.3f} rad",
                 hint="move it inside by hand, or correct zero in robot.toml",
             )
-        goal = np.clip(present, lower, upper)
+        return np.clip(present, lower, upper)
+
+    def hold_present(self, tolerance: float) -> FloatArray:
+        """Make every goal the present position and return it ``[D]`` rad.
+
+        Torque must be off, or on without anything moving.
+
+        Args:
+            tolerance: As for :meth:`standing`.
+
+        Raises:
+            ServoFault: A joint stands outside its limits, or a goal reads back differently: torque
+                on would make it jump.
+        """
+        goal = self.standing(tolerance)
         written = self.scale.from_ticks(
             self.registers.ensure("goal_position", self.scale.to_ticks(goal))
         )
@@ -240,7 +263,7 @@ class ServoBus:
         """
         for index, value in enumerate(self.registers.ensure("torque_enable", [1] * len(self.ids))):
             if value != 1:
-                self._require_plain(index)
+                self.require_plain(index)
                 raise ServoFault("torque did not come on", where=self.registers.who(index))
 
     def torque_off(self) -> list[BusError]:
@@ -287,42 +310,34 @@ class ServoBus:
         Raises:
             ServoFault: A goal is not finite or beyond what the servo can be sent to.
         """
-        position = np.asarray(position, float)
-        if not np.isfinite(position).all():
-            index = int(np.flatnonzero(~np.isfinite(position))[0])
-            raise ServoFault("goal is not finite", where=self.registers.who(index))
-        ticks = self.scale.to_ticks(position)
-        beyond = np.flatnonzero(np.abs(ticks) > EXTENDED_RANGE)
-        if len(beyond):
-            raise ServoFault("goal is out of reach", where=self.registers.who(int(beyond[0])))
-        self.registers.write_all("goal_position", ticks)
+        ticks = np.rint(self.scale.zero + np.asarray(position, float) * self.scale.factor)
+        possible = np.abs(ticks) <= EXTENDED_RANGE  # false for NaN too
+        if not possible.all():
+            index = int(np.flatnonzero(~possible)[0])
+            reason = "out of reach" if math.isfinite(ticks[index]) else "not finite"
+            raise ServoFault(f"goal is {reason}", where=self.registers.who(index))
+        data = ticks.astype("<i4").view(np.uint8).reshape(-1, 4)
+        self.transport.sync_write(self._goal_address, self.ids, data)
 
     def begin_read(self) -> None:
         """Ask all servos for their state; :meth:`end_read` takes the answers."""
-        self.transport.sync_read_begin(*self._block, self.ids, fast=self._asks_fast)
+        self.transport.sync_read_begin(
+            self._state_address, STREAM_LENGTH, self.ids, fast=self._asks_fast
+        )
 
     def end_read(self, now: float) -> ServoState:
         """Return the state of the servos that answered; ``now`` becomes its time."""
-        answers = self.transport.sync_read_end()
-        self._choose_read(complete=len(answers) == len(self.ids))
-        raw = np.full((len(self.ids), 3), np.nan)
-        alert = np.zeros(len(self.ids), bool)
-        for servo_id, (bit, data) in answers.items():
-            index = self._index[servo_id]
-            alert[index] = bool(bit)
-            raw[index] = (
-                int.from_bytes(data[0:2], "little", signed=True),
-                int.from_bytes(data[2:6], "little", signed=True),
-                int.from_bytes(data[6:10], "little", signed=True),
-            )
-        return ServoState(
-            time=now,
-            position=self.scale.from_ticks(raw[:, 2]),
-            velocity=self.scale.velocity(raw[:, 1]),
-            current=raw[:, 0] * self._current_unit,
-            seen=~np.isnan(raw[:, 2]),
-            alert=alert,
-        )
+        answer = self.transport.sync_read_end()
+        complete = bool(answer.seen.all())
+        self._choose_read(complete=complete)
+        raw = np.ascontiguousarray(answer.data).view(STREAM_BLOCK)[:, 0]
+        position = self.scale.from_ticks(raw["position"])
+        velocity = raw["velocity"] * self._velocity_unit
+        current = raw["current"] * self._current_unit
+        if not complete:
+            for values in (position, velocity, current):
+                values[~answer.seen] = math.nan
+        return ServoState(now, position, velocity, current, answer.seen, answer.alert)
 
     @property
     def reads_fast(self) -> bool:
