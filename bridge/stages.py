@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bridge.gate import RETARGETING, verdict, vouch
 from bridge.sources import (
     FROM_FILE,
     ROLLOUT_SCHEMA,
@@ -22,14 +23,12 @@ from bridge.sources import (
     schema_of,
 )
 from generator.motion import DuetMotion
-from robots.errors import GateRefused, SpecError, nearest
+from robots.errors import SpecError, nearest
 from robots.files import plain, write_json
 
 if TYPE_CHECKING:  # physics, hardware and networks are loaded by the stages that need them
-    from bridge.player import Verdict
     from bridge.player.settings import PlayerSettings
     from bridge.player.telemetry import Performance
-    from bridge.trajectory import JointTrajectory
     from generator.intergen import IntergenRequest
     from robots.spec import RobotSpec
     from sim.outcome import TrackOutcome
@@ -46,7 +45,6 @@ ROLLOUT = "rollout.npz"
 TRACKING = "track.json"
 REPORT = "report.json"
 TRAJECTORIES = ("trajectory-a.npz", "trajectory-b.npz")
-RETARGETING = "retargeting.json"
 TELEMETRY = "telemetry.jsonl"
 VIDEO = "video.mp4"
 PICTURE = "picture.png"
@@ -218,7 +216,11 @@ def retarget(
     )
     for trajectory, name in zip(result.trajectories, TRAJECTORIES, strict=True):
         trajectory.save(out / name)
-    facts = {"robots": [robot.name for robot in robots], **result.report.to_json()}
+    facts = {
+        "robots": [robot.name for robot in robots],
+        **result.report.to_json(),
+        **vouch(result.trajectories),
+    }
     write_json(out / RETARGETING, facts)
     return facts
 
@@ -251,7 +253,7 @@ def play(
         progress: Told the share done.
 
     Raises:
-        GateRefused: The report refuses it, or speaks of another motion.
+        GateRefused: The report refuses it or speaks of another motion, or a trajectory was changed.
         LimitViolation: A trajectory leaves its robot's limits.
         BusError: A servo bus failed.
     """
@@ -263,7 +265,7 @@ def play(
     return player.play(
         loaded,
         load_robots(named[0], named[1]),
-        gate=verdict(report, loaded),
+        gate=verdict(report, trajectories, loaded),
         ports=ports,
         settings=settings,
         arm=arm,
@@ -272,28 +274,6 @@ def play(
         on_progress=lambda state, share: progress(share) if state == "PLAY" else None,
         stop=stop,
     )
-
-
-def verdict(report: Path | None, trajectories: Sequence[JointTrajectory]) -> Verdict:
-    """Return whether the report lets these trajectories pass.
-
-    Raises:
-        GateRefused: The report speaks of another motion than a trajectory was made from.
-    """
-    from bridge.player import Verdict
-    from sim.report import Report
-
-    if report is None:
-        return Verdict(passed=False)
-    judged = Report.load(report)
-    for trajectory in trajectories:
-        if trajectory.metadata.get("motion_sha256") != judged.input_sha256:
-            raise GateRefused(
-                "the report speaks of another motion than the trajectories",
-                where=str(report),
-                hint="score the rollout of the same motion",
-            )
-    return Verdict(passed=judged.passed)
 
 
 def film(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -73,6 +75,15 @@ class JointTrajectory:
     def duration(self) -> float:
         """Last moment, s."""
         return float(self.times[-1])
+
+    @property
+    def content_sha256(self) -> str:
+        """Hash of what servos would be told: robot, joint names, times and positions."""
+        names = json.dumps([self.robot, *self.joint_names])
+        digest = hashlib.sha256(names.encode())
+        for array in (self.times, self.position):
+            digest.update(np.ascontiguousarray(array, "<f8").tobytes())
+        return digest.hexdigest()
 
     def save(self, path: str | Path) -> None:
         """Write as npz with a JSON header."""

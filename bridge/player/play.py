@@ -24,7 +24,6 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from bridge.plan import plan
 from bridge.player.performer import OnProgress, Performer
@@ -39,30 +38,25 @@ from robots.errors import GateRefused, SpecError
 from robots.spec import RobotSpec
 
 PEOPLE = ("a", "b")
-
-
-class Passed(Protocol):
-    """Whatever knows whether a performance is plausible, for example a report."""
-
-    @property
-    def passed(self) -> bool:
-        """Whether it may be performed."""
-        ...
+MAX_OVERLAP_MM = 5.0
+"""Deepest overlap of the robots that metal gives way to, mm: a touch of hands, no more."""
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """A verdict without a report."""
+    """What is known about a performance before it begins."""
 
     passed: bool
-    """Whether it may be performed."""
+    """Whether it is plausible."""
+    overlap_mm: float = 0.0
+    """How deep these two robots would be in each other, mm."""
 
 
 def play(
     trajectories: Sequence[JointTrajectory],
     robots: Sequence[RobotSpec],
     *,
-    gate: Passed,
+    gate: Verdict,
     ports: Sequence[Ports] = (VIRTUAL, VIRTUAL),
     settings: PlayerSettings | None = None,
     arm: bool = False,
@@ -78,7 +72,7 @@ def play(
     Args:
         trajectories: Of person a and b, on one clock.
         robots: Who plays a and b.
-        gate: The plausibility verdict.
+        gate: What the report says.
         ports: Per robot ``"virtual"``, a device file, or a device file per bus name.
         settings: How to play.
         arm: Real ports are only used if this is set.
@@ -123,7 +117,7 @@ def play(
 
 
 def _require_allowed(
-    gate: Passed, wires: Sequence[dict[str, str]], *, arm: bool, force: bool
+    gate: Verdict, wires: Sequence[dict[str, str]], *, arm: bool, force: bool
 ) -> None:
     real = sorted({port for wire in wires for port in wire.values() if port != VIRTUAL})
     every = [port for wire in wires for port in wire.values() if port != VIRTUAL]
@@ -134,6 +128,12 @@ def _require_allowed(
             "the plausibility report did not pass",
             allowed="a motion that passes; force works on virtual ports alone",
             hint="see the report for the worst frames, or generate with another seed",
+        )
+    if real and not gate.overlap_mm <= MAX_OVERLAP_MM:
+        raise GateRefused(
+            f"the two robots would be {gate.overlap_mm:.0f} mm deep in each other",
+            allowed=f"at most {MAX_OVERLAP_MM:.0f} mm on real ports",
+            hint="choose a motion with more room between the dancers",
         )
     if real and not arm:
         raise GateRefused(

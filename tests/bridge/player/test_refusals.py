@@ -108,3 +108,9 @@ def test_ports_are_given_by_bus():
 def test_settings_outside_their_ranges_are_refused(bad):
     with pytest.raises(SpecError, match=next(iter(bad))):
         PlayerSettings(**bad)
+
+
+def test_robots_that_would_collide_are_refused_on_real_ports_alone():
+    deep = Verdict(passed=True, overlap_mm=14.5)
+    refused(GateRefused, "14 mm deep", gate=deep, arm=True, ports=("/dev/ttyUSB0", "/dev/ttyUSB1"))
+    assert Stage().play(gate=deep).completed
