@@ -6,11 +6,15 @@ from bridge.servo.registers import (
     BAUD_RATES,
     OPERATING_MODES,
     POSITION_UNIT,
+    ControlTable,
     TickScale,
     control_table,
 )
 from bridge.virtual.bus import VirtualBus
+from bridge.virtual.drive import Drive
 from bridge.virtual.faults import FaultPlan
+from bridge.virtual.instant import InstantDrive
+from bridge.virtual.plant import INSTANT, MUJOCO, SERVO, require_plant
 from bridge.virtual.servo import VirtualServo
 from robots.errors import SpecError, nearest
 from robots.spec import JointSpec, RobotSpec
@@ -22,6 +26,7 @@ def virtual_bus_for(
     *,
     timing: bool = False,
     faults: FaultPlan | None = None,
+    plant: str = SERVO,
 ) -> VirtualBus:
     """Return a bus with the servos that a robot has on one of its buses, in the robot's rest pose.
 
@@ -32,9 +37,11 @@ def virtual_bus_for(
         bus: Name of the bus; may be left out if the robot has only one.
         timing: Whether bytes take the time of the bus's bit rate.
         faults: What goes wrong.
+        plant: What moves, one of :data:`~bridge.virtual.plant.PLANTS`.
 
     Raises:
-        SpecError: There is no such bus, it does not speak Protocol 2.0, or a servo has no table.
+        SpecError: There is no such bus or plant, the bus does not speak Protocol 2.0, a servo has
+            no table, or the robot's model cannot hang on this bus.
     """
     if bus is None and len(robot.buses) == 1:
         bus = next(iter(robot.buses))
@@ -55,15 +62,40 @@ def virtual_bus_for(
             where=f"{robot.name}: bus.{bus}",
             allowed=", ".join(map(str, BAUD_RATES)),
         )
-    servos = [_servo(joint, spec.baud) for joint in robot.joints if joint.servo.bus == bus]
-    return VirtualBus(servos, baud=spec.baud if timing else None, faults=faults)
+    require_plant(plant)
+    if plant == MUJOCO and len(robot.buses) > 1:
+        raise SpecError(
+            f"{robot.name} has {len(robot.buses)} buses, and its body hangs on all of them",
+            where=f"plant {MUJOCO}",
+            allowed=f"{INSTANT} or {SERVO} for robots of several buses",
+        )
+    servos = [_servo(joint, spec.baud, plant) for joint in robot.joints if joint.servo.bus == bus]
+    body = None
+    if plant == MUJOCO:
+        from bridge.virtual.mujoco_plant import MujocoPlant  # MuJoCo is loaded where it is needed
+
+        body = MujocoPlant(robot, servos)
+    return VirtualBus(servos, baud=spec.baud if timing else None, faults=faults, plant=body)
 
 
-def _servo(joint: JointSpec, baud: int) -> VirtualServo:
+def _drive(table: ControlTable, plant: str) -> Drive:
+    if plant == INSTANT:
+        return InstantDrive(table, 0.0)
+    if plant == MUJOCO:
+        from bridge.virtual.mujoco_plant import JointMotor
+
+        return Drive(table, 0.0, JointMotor(table.no_load_speed))
+    return Drive(table, 0.0)
+
+
+def _servo(joint: JointSpec, baud: int, plant: str) -> VirtualServo:
     servo = joint.servo
     scale = TickScale.of(servo.zero, servo.direction, servo.ratio)
     angle = (int(scale.to_ticks(joint.rest)[0]) - 2048) * POSITION_UNIT
-    virtual = VirtualServo(control_table(servo.model), servo.id, baud_index=BAUD_RATES.index(baud))
+    table = control_table(servo.model)
+    virtual = VirtualServo(
+        table, servo.id, baud_index=BAUD_RATES.index(baud), drive=_drive(table, plant)
+    )
     if OPERATING_MODES[servo.mode] != virtual.get("operating_mode"):
         # A multi-turn joint is meaningless in the factory mode: its builder has set the mode.
         virtual.memory.set("operating_mode", OPERATING_MODES[servo.mode])

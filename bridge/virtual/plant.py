@@ -17,8 +17,20 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from robots.errors import SpecError, nearest
+
 INSTANT, SERVO, MUJOCO = PLANTS = ("instant", "servo", "mujoco")
 """Kinds of motion, as named on the command line."""
+
+
+def require_plant(name: str) -> None:
+    """Refuse what is not one of :data:`PLANTS`.
+
+    Raises:
+        SpecError: There is no such kind of motion.
+    """
+    if name not in PLANTS:
+        raise SpecError(f"no plant '{name}'", allowed=", ".join(PLANTS), hint=nearest(name, PLANTS))
 
 
 class Plant(Protocol):
