@@ -37,8 +37,8 @@ Timed = list[tuple[float, bytes]]
 """Bytes with the time at which they have arrived."""
 Request = tuple[int, int, int]
 """Servo id, address and length of one part of a sync or bulk read."""
-Servos = dict[int, list[VirtualServo]]
-"""Servos by id: more than one if ids clash."""
+Hearing = list[VirtualServo]
+"""Servos that a packet has reached."""
 
 
 class VirtualBus:
@@ -70,7 +70,7 @@ class VirtualBus:
         self._heard = 0.0
         self._free = 0.0
         self._line_baud: int | None = None
-        self._handlers: dict[int, Callable[[float, Packet], Timed]] = {
+        self._handlers: dict[int, Callable[[float, Packet, Hearing], Timed]] = {
             packets.PING: self._ping,
             packets.ACTION: self._action,
             packets.SYNC_READ: self._sync_read,
@@ -102,7 +102,8 @@ class VirtualBus:
             self.plant.advance(now)
             return
         for servo in self.servos:
-            servo.advance(now)
+            if now >= servo.due:
+                servo.advance(now)
 
     def feed(self, now: float, data: bytes, *, baud: int | None = None) -> Timed:
         """Take bytes that reached the wire and return the answers with their times.
@@ -125,9 +126,10 @@ class VirtualBus:
             self._free = heard
             self.advance(now)
             self.instructions += 1
-            for servo in self._listening(now):
+            hearing = self._hearing(now)
+            for servo in hearing:
                 servo.hear(now)
-            answers += self._handlers.get(packet.code, self._single)(now, packet)
+            answers += self._handlers.get(packet.code, self._single)(now, packet, hearing)
         return answers
 
     # -- who hears, who answers, when -------------------------------------------------------------
@@ -135,27 +137,17 @@ class VirtualBus:
     def _duration(self, size: int) -> float:
         return size * 10 / self.baud if self.baud else 0.0
 
-    def _listening(self, now: float) -> list[VirtualServo]:
-        return [
+    def _hearing(self, now: float) -> Hearing:
+        """Return the servos that hear a packet now: awake, at its rate, and not silent."""
+        rate = self._line_baud
+        servos = [
             servo
             for servo in self.servos
-            if now >= servo.boots_at
-            and not (self.faults.faults and self.faults.silent(now, servo.id))
-            and self._line_baud in (None, BAUD_RATES[servo.baud_index])
+            if now >= servo.boots_at and (rate is None or rate == BAUD_RATES[servo.baud_index])
         ]
-
-    def _by_id(self, now: float) -> Servos:
-        servos: Servos = {}
-        for servo in self._listening(now):
-            servos.setdefault(servo.id, []).append(servo)
+        if self.faults.faults:
+            servos = [servo for servo in servos if not self.faults.silent(now, servo.id)]
         return servos
-
-    def _addressed(self, now: float, servo_id: int) -> list[VirtualServo]:
-        return [
-            servo
-            for servo in self._listening(now)
-            if servo_id == packets.BROADCAST or servo.answers_to(servo_id)
-        ]
 
     def _status(
         self, now: float, servo: VirtualServo, error: int, data: bytes = b"", *, answer_as: int = -1
@@ -163,27 +155,27 @@ class VirtualBus:
         """Return the timed status packet of one servo."""
         servo_id = servo.id if answer_as < 0 else answer_as
         packet = packets.status(servo_id, error | servo.alert, data)
-        delay = servo.memory.get("return_delay_time") * RETURN_DELAY_UNIT
+        delay = servo.return_delay * RETURN_DELAY_UNIT
         self._free = max(self._free, now) + delay + self._duration(len(packet))
         spoilt = self.faults.spoil(now, servo.id, packet)
         return [(self._free, spoilt)] if spoilt else []
 
     # -- instructions -----------------------------------------------------------------------------
 
-    def _ping(self, now: float, packet: Packet) -> Timed:
+    def _ping(self, now: float, packet: Packet, hearing: Hearing) -> Timed:
         answers: Timed = []
         broadcast = packet.servo_id == packets.BROADCAST
-        for servo in sorted(self._addressed(now, packet.servo_id), key=lambda servo: servo.id):
+        for servo in sorted(_addressed(packet.servo_id, hearing), key=lambda servo: servo.id):
             number = servo.memory.get("model_number").to_bytes(2, "little")
             data = number + bytes((servo.memory.get("firmware_version"),))
             answer_as = -1 if broadcast else packet.servo_id
             answers += self._status(now, servo, 0, data, answer_as=answer_as)
         return answers
 
-    def _action(self, now: float, packet: Packet) -> Timed:
-        return self._each(now, packet, lambda servo: (servo.action(), b""), level=2)
+    def _action(self, now: float, packet: Packet, hearing: Hearing) -> Timed:
+        return self._each(now, packet, hearing, lambda servo: (servo.action(), b""), level=2)
 
-    def _single(self, now: float, packet: Packet) -> Timed:
+    def _single(self, now: float, packet: Packet, hearing: Hearing) -> Timed:
         """Carry out an instruction for one servo (or, without answers, for all)."""
         params = packet.params
         level = 2
@@ -223,34 +215,36 @@ class VirtualBus:
             def act(servo: VirtualServo) -> tuple[int, bytes]:
                 return packets.ERROR_INSTRUCTION, b""
 
-        return self._each(now, packet, act, level=level)
+        return self._each(now, packet, hearing, act, level=level)
 
     def _each(
         self,
         now: float,
         packet: Packet,
+        hearing: Hearing,
         act: Callable[[VirtualServo], tuple[int, bytes]],
         *,
         level: int,
     ) -> Timed:
         """Act on every addressed servo; answer if its Status Return Level is ``level`` or more."""
         answers: Timed = []
-        for servo in self._addressed(now, packet.servo_id):
-            answering = servo.memory.get("status_return_level") >= level
+        for servo in _addressed(packet.servo_id, hearing):
+            answering = servo.return_level >= level
             error, data = act(servo)
             if answering and packet.servo_id != packets.BROADCAST:
                 answers += self._status(now, servo, error, data, answer_as=packet.servo_id)
         return answers
 
-    def _sync_read(self, now: float, packet: Packet) -> Timed:
+    def _sync_read(self, now: float, packet: Packet, hearing: Hearing) -> Timed:
         params = packet.params
         if packet.servo_id != packets.BROADCAST or len(params) < 5:
             return []
         address, length = _word(params, 0), _word(params, 2)
         requests = [(servo_id, address, length) for servo_id in params[4:]]
-        return self._read_many(now, requests, fast=packet.code == packets.FAST_SYNC_READ)
+        fast = packet.code == packets.FAST_SYNC_READ
+        return (self._read_fast if fast else self._read_plain)(now, requests, hearing)
 
-    def _bulk_read(self, now: float, packet: Packet) -> Timed:
+    def _bulk_read(self, now: float, packet: Packet, hearing: Hearing) -> Timed:
         params = packet.params
         if packet.servo_id != packets.BROADCAST or not params or len(params) % 5:
             return []
@@ -258,67 +252,65 @@ class VirtualBus:
             (params[at], _word(params, at + 1), _word(params, at + 3))
             for at in range(0, len(params), 5)
         ]
-        return self._read_many(now, requests, fast=packet.code == packets.FAST_BULK_READ)
+        fast = packet.code == packets.FAST_BULK_READ
+        return (self._read_fast if fast else self._read_plain)(now, requests, hearing)
 
-    def _read_many(self, now: float, requests: list[Request], *, fast: bool) -> Timed:
-        servos = self._by_id(now)
-        if fast:
-            return self._read_fast(now, requests, servos)
+    def _read_plain(self, now: float, requests: list[Request], hearing: Hearing) -> Timed:
+        """Answer with one packet per servo, each when the one before it has ended."""
+        servos = _by_id(hearing)
         answers: Timed = []
         for servo_id, address, length in requests:
-            present = servos.get(servo_id, [])
-            if not present:
+            present = servos.get(servo_id)
+            if present is None:
                 self._free += ABSENT_WAIT
+                continue
             for servo in present:
-                if servo.memory.get("status_return_level") >= 1:
+                if servo.return_level >= 1:
                     error, data = servo.read(address, length)
                     answers += self._status(now, servo, error, data)
         return answers
 
-    def _read_fast(
-        self,
-        now: float,
-        requests: list[Request],
-        servos: Servos,
-    ) -> Timed:
+    def _read_fast(self, now: float, requests: list[Request], hearing: Hearing) -> Timed:
         """Answer with one chained packet; it breaks off at the first servo that is not there."""
         if 1 + sum(length + 4 for _, _, length in requests) > packets.MAX_LENGTH:
             return []
+        servos = _by_id(hearing)
         entries: list[tuple[int, int, bytes]] = []
-        delay = 0.0
+        delay = 0
         whole = True
         for servo_id, address, length in requests:
-            servo = servos.get(servo_id, [None])[0]
+            servo = servos[servo_id][0] if servo_id in servos else None
             if servo is None or not servo.reads_fast:
                 whole = False
                 break
-            delay = max(delay, servo.memory.get("return_delay_time") * RETURN_DELAY_UNIT)
+            delay = max(delay, servo.return_delay)
             error, data = servo.read(address, length)
             entries.append((error | servo.alert, servo_id, data))
         missing = len(requests) - len(entries)
         filler = [(0, 0, bytes(length)) for _, _, length in requests[-missing:]] if missing else []
         pieces = packets.fast_status(entries + filler)[: 1 + len(entries)]
         packet = b"".join(pieces) if whole or entries else b""
+        delay *= RETURN_DELAY_UNIT
         self._free = max(self._free, now) + delay + self._duration(len(packet))
         packet = self.faults.spoil(now, packets.BROADCAST, packet) if packet else packet
         return [(self._free, packet)] if packet else []
 
-    def _sync_write(self, now: float, packet: Packet) -> Timed:
+    def _sync_write(self, now: float, packet: Packet, hearing: Hearing) -> Timed:
         params = packet.params
         if packet.servo_id != packets.BROADCAST or len(params) < 4:
             return []
         address, length = _word(params, 0), _word(params, 2)
         if (len(params) - 4) % (length + 1):
             return []
-        servos = self._by_id(now)
+        servos = _by_id(hearing)
         for at in range(4, len(params), length + 1):
             for servo in servos.get(params[at], ()):
                 servo.write(address, params[at + 1 : at + 1 + length])
         return []
 
-    def _bulk_write(self, now: float, packet: Packet) -> Timed:
+    def _bulk_write(self, now: float, packet: Packet, hearing: Hearing) -> Timed:
         params, at = packet.params, 0
-        servos = self._by_id(now)
+        servos = _by_id(hearing)
         while packet.servo_id == packets.BROADCAST and at + 5 <= len(params):
             length = _word(params, at + 3)
             data = params[at + 5 : at + 5 + length]
@@ -327,6 +319,21 @@ class VirtualBus:
                     servo.write(_word(params, at + 1), data)
             at += 5 + length
         return []
+
+
+def _by_id(hearing: Hearing) -> dict[int, Hearing]:
+    """Return servos by id: more than one if ids clash."""
+    servos: dict[int, Hearing] = {}
+    for servo in hearing:
+        servos.setdefault(servo.id, []).append(servo)
+    return servos
+
+
+def _addressed(servo_id: int, hearing: Hearing) -> Hearing:
+    """Return the servos that an instruction to an id is for."""
+    if servo_id == packets.BROADCAST:
+        return hearing
+    return [servo for servo in hearing if servo.answers_to(servo_id)]
 
 
 def _word(data: bytes, at: int) -> int:

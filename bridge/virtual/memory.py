@@ -18,6 +18,12 @@ from bridge.servo.registers import Area, Bound, ControlTable, Register
 SIZE = 1024
 _FORMATS = {1: "<b", 2: "<h", 4: "<i"}
 """Of signed registers by length; unsigned ones have the capital letter."""
+RESET_BY_MODE = (
+    *("position_p_gain", "position_i_gain", "position_d_gain"),
+    *("velocity_p_gain", "velocity_i_gain", "feedforward_1st_gain", "feedforward_2nd_gain"),
+    *("profile_acceleration", "profile_velocity", "goal_pwm", "goal_current"),
+)
+"""Registers that return to their defaults when the operating mode changes."""
 
 
 class Memory:
@@ -33,7 +39,8 @@ class Memory:
             for address in range(register.address + 1, register.end)
         }
         self._first_data = min(self._data, default=SIZE)
-        self._bytes = bytearray(SIZE)
+        self.cells = bytearray(SIZE)
+        """The bytes themselves."""
         self.reset("eeprom")
         self.reset("ram")
 
@@ -44,12 +51,12 @@ class Memory:
     def get(self, name: str) -> int:
         """Return a register's value."""
         codec, start = self._codecs[name]
-        return codec.unpack_from(self._bytes, start)[0]
+        return codec.unpack_from(self.cells, start)[0]
 
     def set(self, name: str, value: int) -> None:
         """Set a register without asking any rule."""
         codec, start = self._codecs[name]
-        codec.pack_into(self._bytes, start, value)
+        codec.pack_into(self.cells, start, value)
 
     def bound(self, bound: Bound) -> int:
         """Return the value of a bound: a number, a register's value or the negative of one."""
@@ -75,8 +82,8 @@ class Memory:
             return ERROR_ACCESS, b""
         end = address + length
         if end <= self._first_data or self._data.keys().isdisjoint(range(address, end)):
-            return 0, bytes(self._bytes[address:end])
-        return 0, bytes(self._bytes[self._target(at)] for at in range(address, end))
+            return 0, bytes(self.cells[address:end])
+        return 0, bytes(self.cells[self._target(at)] for at in range(address, end))
 
     def plan(self, address: int, data: bytes) -> tuple[list[tuple[str, int]], int]:
         """Return the register writes that bytes at an address mean, and an error code.
@@ -114,7 +121,7 @@ class Memory:
         pointer = self._data.get(address)
         if pointer is None:
             return address
-        target = int.from_bytes(self._bytes[pointer : pointer + 2], "little")
+        target = int.from_bytes(self.cells[pointer : pointer + 2], "little")
         return target if target < SIZE else address
 
 

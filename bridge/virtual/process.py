@@ -7,6 +7,7 @@ its standard input closes, which also happens when the parent dies.
 
 from __future__ import annotations
 
+import gc
 import os
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from bridge.virtual.build import virtual_bus_for
+from bridge.virtual.plant import SERVO, require_plant
 from bridge.virtual.pty import PtyServer
 from robots.errors import PortLost
 from robots.registry import load_robot
@@ -25,22 +27,29 @@ START_TIME = 30.0
 
 
 @contextmanager
-def virtual_port(robot: RobotSpec, bus: str) -> Iterator[str]:
+def virtual_port(robot: RobotSpec, bus: str, plant: str = SERVO) -> Iterator[str]:
     """Yield the port of a virtual bus with a robot's servos, with the timing of its bit rate.
 
     It runs in a child process if the robot is just what its folder says, else in a thread.
 
+    Args:
+        robot: The robot.
+        bus: Name of its bus.
+        plant: What moves, one of :data:`~bridge.virtual.plant.PLANTS`.
+
     Raises:
         PortLost: The child did not start.
+        SpecError: There is no such plant, or it is none for this robot.
     """
+    require_plant(plant, robot)
     if load_robot(str(robot.folder)) != robot:
-        with PtyServer(virtual_bus_for(robot, bus), timing=True) as server:
+        with PtyServer(virtual_bus_for(robot, bus, plant=plant), timing=True) as server:
             yield server.port
         return
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     command = "from bridge.virtual.process import main; main()"
     child = subprocess.Popen(  # noqa: S603 - our own interpreter and code
-        [sys.executable, "-c", command, str(robot.folder), bus],
+        [sys.executable, "-c", command, str(robot.folder), bus, plant],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         env=environment,
@@ -79,8 +88,10 @@ def _announced_port(child: subprocess.Popen[str], name: str) -> str:
 
 def main() -> None:
     """Serve the bus named on the command line until standard input closes."""
-    folder, bus = sys.argv[1:3]
-    with PtyServer(virtual_bus_for(load_robot(folder), bus), timing=True) as server:
+    folder, bus, plant = sys.argv[1:4]
+    gc.freeze()  # what is loaded by now stays: a sweep over it would delay answers
+    served = virtual_bus_for(load_robot(folder), bus, plant=plant)
+    with PtyServer(served, timing=True) as server:
         sys.stdout.write(f"{server.port}\n")
         sys.stdout.flush()
         sys.stdin.read()

@@ -31,6 +31,9 @@ CHUNK = 4096
 BATCH = 0.0005
 """Answers that follow each other within this time, s, are handed over together, when the last is
 due: as a USB adapter does with its frames."""
+WAKE = 0.00006
+"""The operating system wakes a sleeper up to this late, s: the last moment before an answer is due
+is waited out awake."""
 
 
 class PtyServer:
@@ -101,7 +104,7 @@ class PtyServer:
             # select, not poll: its timeout is not rounded up to milliseconds.
             wait = None
             if self._due:
-                wait = max(0.0, self._handed_over() - time.monotonic())
+                wait = max(0.0, self._handed_over() - WAKE - time.monotonic())
             ready, _, _ = select.select((self._master, self._stop_read), (), (), wait)
             if self._stop_read in ready:
                 return
@@ -112,6 +115,8 @@ class PtyServer:
                 return
             if self._master in ready:
                 self._receive(now)
+            elif self._due and now < self._handed_over():
+                continue
             self._send(time.monotonic())
 
     def stop(self) -> None:

@@ -34,7 +34,7 @@ from bridge.virtual.drive import (
     Drive,
     DriveSettings,
 )
-from bridge.virtual.memory import Memory
+from bridge.virtual.memory import RESET_BY_MODE, Memory
 from bridge.virtual.motor import RESISTANCE_DROP, STEP
 
 OVERLOAD_TIME = 2.0
@@ -43,12 +43,6 @@ BOOT_TIME = 0.2
 """s without an answer after a reboot."""
 
 GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
-RESET_BY_MODE = (
-    *("position_p_gain", "position_i_gain", "position_d_gain"),
-    *("velocity_p_gain", "velocity_i_gain", "feedforward_1st_gain", "feedforward_2nd_gain"),
-    *("profile_acceleration", "profile_velocity", "goal_pwm", "goal_current"),
-)
-"""Registers that return to their defaults when the operating mode changes."""
 
 
 class VirtualServo:
@@ -91,6 +85,8 @@ class VirtualServo:
         """V at the connector; tests may change it."""
         self.load = load
         self.registered: tuple[int, bytes] | None = None
+        self.due = 0.0
+        """Time before which :meth:`advance` has nothing to do."""
         self.boots_at = 0.0
         """Time before which it does not answer."""
         self._time = 0.0
@@ -98,7 +94,9 @@ class VirtualServo:
         self._overload = 0.0
         last = table["present_position"].end
         self._fast_block = (last - 10, last)
-        self._goal = table["goal_position"]
+        self._goal, self._error_at = table["goal_position"], table["hardware_error_status"].address
+        self._level_at = table["status_return_level"].address
+        self._delay_at = table["return_delay_time"].address
         self._power_up()
 
     # -- what the bus asks ------------------------------------------------------------------------
@@ -110,14 +108,24 @@ class VirtualServo:
     @property
     def alert(self) -> int:
         """The alert bit for the error byte of its status packets."""
-        return ALERT if self.memory.get("hardware_error_status") else 0
+        return ALERT if self.memory.cells[self._error_at] else 0
 
     @property
     def reads_fast(self) -> bool:
         """Whether it takes part in fast reads: by its firmware and Status Return Level."""
         first = self.table.fast_read_firmware
-        known = first is not None and self.memory.get("firmware_version") >= first
-        return known and self.memory.get("status_return_level") >= 1
+        new = first is not None and self.memory.get("firmware_version") >= first
+        return new and self.return_level >= 1
+
+    @property
+    def return_level(self) -> int:
+        """Its Status Return Level."""
+        return self.memory.cells[self._level_at]
+
+    @property
+    def return_delay(self) -> int:
+        """Its Return Delay Time, counts."""
+        return self.memory.cells[self._delay_at]
 
     def hear(self, now: float) -> None:
         """Note that some packet was on the bus: it feeds the watchdog."""
@@ -135,7 +143,7 @@ class VirtualServo:
         """Write bytes if every rule allows it, else nothing; return the error code."""
         goal = self._goal
         if address == goal.address and len(data) == goal.length:
-            # Goals are what a player writes all the time: those that no rule can forbid go by here.
+            # What a player writes all the time: goals that no rule can forbid.
             value = int.from_bytes(data, "little", signed=goal.signed)
             low, high = self._free_goals
             if low <= value <= high:
@@ -227,12 +235,14 @@ class VirtualServo:
 
     def advance(self, now: float) -> None:
         """Let time pass until ``now`` s, on a fixed grid of steps."""
+        deadline = math.inf
         if self.drive.settings.torque and self._watchdog > 0:
             deadline = self._heard + self._watchdog
             if now > deadline:
                 self._run(deadline)
                 self._trip_watchdog()
         self._run(now)
+        self.due = min(self._time + STEP * (1 - 1e-8), deadline)
 
     # -- inside -----------------------------------------------------------------------------------
 
@@ -309,19 +319,19 @@ class VirtualServo:
         self._zero = TICKS_PER_TURN // 2 + get("homing_offset")
         self._free_goals = self._goals_without_rule()
         self._shown = (math.nan, math.nan, math.nan)
+        self.due = 0.0
         self._watchdog = max(0, get("bus_watchdog")) * WATCHDOG_UNIT
         self.drive.use(DriveSettings.of(memory, self._angle(get("goal_position")), self.profile))
 
     def _goals_without_rule(self) -> tuple[int, int]:
         """Return a range of goals that can be taken as they are; empty if some rule may object."""
-        get = self.memory.get
-        if get("drive_mode") & (TIME_BASED | TORQUE_BY_GOAL):
+        memory = self.memory
+        special = memory.get("drive_mode") & (TIME_BASED | TORQUE_BY_GOAL)
+        if special or memory.get("bus_watchdog") == WATCHDOG_TRIPPED:
             return 0, -1
-        if get("bus_watchdog") == WATCHDOG_TRIPPED:
-            return 0, -1
-        if get("operating_mode") != MODE_POSITION:
+        if memory.get("operating_mode") != MODE_POSITION:
             return -EXTENDED_RANGE, EXTENDED_RANGE
-        return self.memory.bound(self._goal.min), self.memory.bound(self._goal.max)
+        return memory.bound(self._goal.min), memory.bound(self._goal.max)
 
     def _trip_watchdog(self) -> None:
         """Stop where the horn is, until the watchdog is cleared."""
