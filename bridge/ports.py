@@ -9,6 +9,7 @@ from bridge.servo.clock import Clock
 from bridge.servo.lock import PortLock
 from bridge.servo.sdk_transport import SdkTransport
 from bridge.servo.transport import Transport
+from bridge.virtual.plant import SERVO
 from bridge.virtual.process import virtual_port
 from robots.errors import SpecError, nearest
 from robots.spec import RobotSpec
@@ -48,16 +49,32 @@ def ports_of(robot: RobotSpec, ports: Ports) -> dict[str, str]:
     return dict(ports)
 
 
-def connect(robot: RobotSpec, bus: str, port: str, clock: Clock, stack: ExitStack) -> Transport:
+def connect(
+    robot: RobotSpec,
+    bus: str,
+    port: str,
+    clock: Clock,
+    stack: ExitStack,
+    *,
+    plant: str = SERVO,
+) -> Transport:
     """Return the transport for a port, locked for us; ``virtual`` starts a bus on a pty.
+
+    Args:
+        robot: The robot.
+        bus: Name of its bus.
+        port: Device file, or ``virtual``.
+        clock: Gives the time and waits.
+        stack: What must be closed goes on it.
+        plant: What moves behind a virtual port, one of :data:`~bridge.virtual.plant.PLANTS`.
 
     Raises:
         PortLost: The port is taken, or there are no pseudo-terminals.
-        SpecError: The bus does not speak Protocol 2.0.
+        SpecError: The bus does not speak Protocol 2.0, or the plant is none for the robot.
     """
     spec = robot.buses[bus]
     if port == VIRTUAL:
-        port = stack.enter_context(virtual_port(robot, bus))
+        port = stack.enter_context(virtual_port(robot, bus, plant))
     else:
         stack.enter_context(PortLock(port))
     if spec.protocol != 2.0:

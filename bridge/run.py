@@ -54,6 +54,8 @@ class RunSettings:
     """Who plays a and b."""
     speed: float = 1.0
     """Of the performance."""
+    plant: str = "servo"
+    """What moves behind the virtual ports."""
     force: bool = False
     """Perform what the report refuses (virtual servos only)."""
     video: bool = True
@@ -123,6 +125,7 @@ def run(settings: RunSettings, *, stage: Stage, say: Callable[[str], None]) -> R
                 out / stages.TELEMETRY,
                 report=out / stages.REPORT,
                 robots=settings.robots,
+                plant=settings.plant,
                 settings=playing,
                 force=settings.force,
                 stop=stop,

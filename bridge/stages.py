@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import threading
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,6 +41,8 @@ Progress = Callable[[float], None]
 
 GENERATORS = ("choreographer", "intergen")
 CONTROLLERS = ("ilqr", "mppi", "assist")
+PLANTS = ("servo", "mujoco", "instant")
+"""What virtual servos move: as in :data:`bridge.virtual.plant.PLANTS`, the default first."""
 MOTION = "motion.npz"
 ROLLOUT = "rollout.npz"
 TRACKING = "track.json"
@@ -232,6 +235,7 @@ def play(
     report: Path | None,
     robots: tuple[str | None, str | None] = (None, None),
     ports: tuple[str, str] = ("virtual", "virtual"),
+    plant: str = PLANTS[0],
     settings: PlayerSettings | None = None,
     arm: bool = False,
     force: bool = False,
@@ -246,6 +250,7 @@ def play(
         report: The report on the same motion; without one only ``force`` lets it pass.
         robots: Folder or name per robot; ``None``: the built-in robot the trajectory names.
         ports: ``virtual``, or a serial port.
+        plant: What moves behind virtual ports, one of :data:`PLANTS`.
         settings: How to play.
         arm: Real servos may move.
         force: Play what the report refuses, on virtual ports.
@@ -255,10 +260,15 @@ def play(
     Raises:
         GateRefused: The report refuses it or speaks of another motion, or a trajectory was changed.
         LimitViolation: A trajectory leaves its robot's limits.
+        SpecError: There is no such plant, or a port is not virtual and has none.
         BusError: A servo bus failed.
     """
     from bridge import player
+    from bridge.ports import VIRTUAL, connect
     from bridge.trajectory import JointTrajectory
+
+    if plant != PLANTS[0] and set(ports) != {VIRTUAL}:
+        raise SpecError(f"plant '{plant}'", where=", ".join(ports), allowed="virtual ports alone")
 
     loaded = [JointTrajectory.load(path) for path in trajectories]
     named = [given or t.robot for given, t in zip(robots, loaded, strict=True)]
@@ -273,6 +283,7 @@ def play(
         telemetry=telemetry,
         on_progress=lambda state, share: progress(share) if state == "PLAY" else None,
         stop=stop,
+        connector=partial(connect, plant=plant),
     )
 
 

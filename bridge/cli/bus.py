@@ -7,7 +7,7 @@ import signal
 from pathlib import Path
 
 from bridge.cli.console import Console
-from bridge.cli.options import DEFAULT_ROBOT
+from bridge.cli.options import DEFAULT_ROBOT, add_plant
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,6 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--link", type=Path, metavar="PATH", help="symbolic link to make for the port"
     )
+    add_plant(parser)
     parser.add_argument(
         "--no-timing", action="store_true", help="answer at once, not at the speed of the wire"
     )
@@ -30,7 +31,8 @@ def execute(args: argparse.Namespace, console: Console) -> int:
     from robots.registry import load_robot
 
     robot = load_robot(args.robot)
-    server = PtyServer(virtual_bus_for(robot, args.bus), link=args.link, timing=not args.no_timing)
+    served = virtual_bus_for(robot, args.bus, plant=args.plant)
+    server = PtyServer(served, link=args.link, timing=not args.no_timing)
     for name in (signal.SIGINT, signal.SIGTERM):  # all that is left to do then is to leave
         signal.signal(name, lambda *_: server.stop())
     try:

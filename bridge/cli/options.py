@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bridge.sources import MotionRequest
-from bridge.stages import CONTROLLERS, GENERATORS
+from bridge.stages import CONTROLLERS, GENERATORS, PLANTS
 
 if TYPE_CHECKING:
     from generator.intergen import IntergenRequest
@@ -196,6 +196,17 @@ def track_settings(args: argparse.Namespace) -> TrackSettings:
         self_collision=getattr(args, "self_collision", False),
         disturbance=disturbance,
         seed=args.seed,
+    )
+
+
+def add_plant(parser: argparse.ArgumentParser) -> None:
+    """Add what moves behind virtual ports."""
+    parser.add_argument(
+        "--plant",
+        choices=PLANTS,
+        default=PLANTS[0],
+        help="what virtual servos move: nothing but themselves (servo, the default), the robot's"
+        " own model, hung up (mujoco), or their horns without delay (instant)",
     )
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from bridge import stages
 from bridge.cli.console import Console
-from bridge.cli.options import in_folder
+from bridge.cli.options import add_plant, in_folder
 from robots.errors import SpecError
 
 
@@ -28,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PORT",
         help="'virtual' (default), or the serial ports of a and b",
     )
+    add_plant(parser)
     parser.add_argument("--arm", action="store_true", help="allow real servos to move")
     parser.add_argument(
         "--force", action="store_true", help="play what the report refuses; virtual ports alone"
@@ -55,6 +56,7 @@ def execute(args: argparse.Namespace, console: Console) -> int:
             report=args.report,
             robots=(args.robot_a, args.robot_b),
             ports=(ports[0], ports[1]),
+            plant=args.plant,
             settings=PlayerSettings(speed=args.speed, rate=args.rate),
             arm=args.arm,
             force=args.force,

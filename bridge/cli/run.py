@@ -11,6 +11,7 @@ from bridge.cli.options import (
     add_generator,
     add_intergen,
     add_motion_request,
+    add_plant,
     add_robots,
     add_seed,
     add_tracking,
@@ -34,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--speed", type=float, default=1.0, help="of the performance on the virtual servos"
     )
+    add_plant(parser)
     parser.add_argument("--force", action="store_true", help="perform even what the report refuses")
     parser.add_argument("--no-video", action="store_true", help="leave video and picture out")
     add_motion_request(parser)
@@ -53,6 +55,7 @@ def execute(args: argparse.Namespace, console: Console) -> int:
         tracking=track_settings(args),
         robots=robot_pair(args),
         speed=args.speed,
+        plant=args.plant,
         force=args.force,
         video=not args.no_video,
         request=motion_request(args),

@@ -62,13 +62,7 @@ def virtual_bus_for(
             where=f"{robot.name}: bus.{bus}",
             allowed=", ".join(map(str, BAUD_RATES)),
         )
-    require_plant(plant)
-    if plant == MUJOCO and len(robot.buses) > 1:
-        raise SpecError(
-            f"{robot.name} has {len(robot.buses)} buses, and its body hangs on all of them",
-            where=f"plant {MUJOCO}",
-            allowed=f"{INSTANT} or {SERVO} for robots of several buses",
-        )
+    require_plant(plant, robot)
     servos = [_servo(joint, spec.baud, plant) for joint in robot.joints if joint.servo.bus == bus]
     body = None
     if plant == MUJOCO:

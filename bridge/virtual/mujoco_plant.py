@@ -24,8 +24,8 @@ Present Current shows 0.19 / 4.1 = 4.6 % of the stall current.
 model gives it, upright, as on a gantry: the goals of a dance keep nobody on their feet. Two robots
 on two buses do not feel each other. With torque off a joint keeps the damping and friction of its
 model and sinks. A joint whose armature is less than that of the servo's rotor (as the motor's time
-constant has it) gets the latter. The clock of the body starts with the first packet, and of a silence longer than
-:data:`LONGEST` only the last part is simulated.
+constant has it) gets the latter. The clock of the body starts with the first packet, and of a
+silence longer than :data:`LONGEST` only the last part is simulated.
 """
 
 from __future__ import annotations

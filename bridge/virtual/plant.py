@@ -18,19 +18,26 @@ from __future__ import annotations
 from typing import Protocol
 
 from robots.errors import SpecError, nearest
+from robots.spec import RobotSpec
 
 INSTANT, SERVO, MUJOCO = PLANTS = ("instant", "servo", "mujoco")
 """Kinds of motion, as named on the command line."""
 
 
-def require_plant(name: str) -> None:
-    """Refuse what is not one of :data:`PLANTS`.
+def require_plant(name: str, robot: RobotSpec) -> None:
+    """Refuse what is not one of :data:`PLANTS`, or is none for this robot.
 
     Raises:
-        SpecError: There is no such kind of motion.
+        SpecError: There is no such kind of motion, or the robot's body hangs on several buses.
     """
     if name not in PLANTS:
         raise SpecError(f"no plant '{name}'", allowed=", ".join(PLANTS), hint=nearest(name, PLANTS))
+    if name == MUJOCO and len(robot.buses) > 1:
+        raise SpecError(
+            f"{robot.name} has {len(robot.buses)} buses, and its body hangs on all of them",
+            where=f"plant {MUJOCO}",
+            allowed=f"{INSTANT} or {SERVO} for robots with several buses",
+        )
 
 
 class Plant(Protocol):

@@ -8,9 +8,11 @@ import math
 import numpy as np
 import pytest
 
+from bridge import stages
 from bridge.servo.registers import POSITION_UNIT, VELOCITY_UNIT, control_table
 from bridge.virtual import VirtualBus, VirtualServo, virtual_bus_for
 from bridge.virtual.mujoco_plant import MujocoPlant
+from bridge.virtual.plant import PLANTS, SERVO
 from robots.errors import SpecError
 from robots.registry import load_robot
 from robots.spec import RobotSpec
@@ -234,3 +236,19 @@ def test_a_body_on_two_buses_is_refused():
     with pytest.raises(SpecError, match="2 buses"):
         virtual_bus_for(split, "main", plant="mujoco")
     assert len(virtual_bus_for(split, "main", plant="instant").servos) == 20
+
+
+def test_the_command_line_offers_every_plant():
+    assert set(stages.PLANTS) == set(PLANTS)
+    assert stages.PLANTS[0] == SERVO
+
+
+def test_real_ports_have_no_plant(tmp_path):
+    with pytest.raises(SpecError, match="virtual"):
+        stages.play(
+            (tmp_path / "a.npz", tmp_path / "b.npz"),
+            tmp_path / "telemetry.jsonl",
+            report=None,
+            ports=("/dev/a", "virtual"),
+            plant="mujoco",
+        )
