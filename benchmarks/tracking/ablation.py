@@ -29,10 +29,10 @@ DIRTY = ("handshake", "hug", "waltz")
 
 
 def ablation_clips() -> list[BenchClip]:
-    """Return twelve clips: one per interaction, and three spoilt ones."""
+    """Return twelve clips: three spoilt ones, and one per interaction."""
     clean = clips_of("choreo")[: len(TOUCHING)]
     spoilt = [c for c in clips_of("dirty")[: len(TOUCHING)] if c.interaction in DIRTY]
-    return [*clean, *spoilt]
+    return [*spoilt, *clean]
 
 
 def ablation_tasks(
