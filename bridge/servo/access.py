@@ -43,7 +43,6 @@ class RegisterAccess:
         self.joint_names = tuple(joint.name for joint in joints)
         self.tables = tuple(control_table(joint.servo.model) for joint in joints)
         self.first = self.tables[0]
-        self._index = {servo_id: index for index, servo_id in enumerate(self.ids)}
         for table in self.tables:
             for name in SHARED:
                 if table[name].address != self.first[name].address:
@@ -108,11 +107,9 @@ class RegisterAccess:
     def write_all(self, name: str, values: ArrayLike) -> None:
         """Write one register of all servos with one packet."""
         register = self.first[name]
-        data = {
-            servo_id: register.encode(int(value))
-            for servo_id, value in zip(self.ids, np.asarray(values), strict=True)
-        }
-        self.transport.sync_write(register.address, data)
+        encoded = [register.encode(int(value)) for value in np.asarray(values)]
+        data = np.frombuffer(b"".join(encoded), np.uint8).reshape(len(self.ids), -1)
+        self.transport.sync_write(register.address, self.ids, data)
 
     def ensure(self, name: str, values: ArrayLike) -> NDArray[np.int64]:
         """Write one register of all servos until it reads back, a few times; return what does."""
@@ -129,8 +126,11 @@ class RegisterAccess:
         """Read one register of all servos; return the values by index of those that answered."""
         register = self.first[name]
         self.transport.sync_read_begin(register.address, register.length, self.ids)
-        answers = self.transport.sync_read_end()
-        return {self._index[servo]: register.decode(data) for servo, (_, data) in answers.items()}
+        answer = self.transport.sync_read_end()
+        return {
+            int(index): register.decode(answer.data[index].tobytes())
+            for index in np.flatnonzero(answer.seen)
+        }
 
     def read_all(self, name: str) -> NDArray[np.int64]:
         """Read one register of all servos; ask those that did not answer again, one by one."""

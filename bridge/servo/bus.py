@@ -330,7 +330,7 @@ class ServoBus:
         answer = self.transport.sync_read_end()
         complete = bool(answer.seen.all())
         self._choose_read(complete=complete)
-        raw = np.ascontiguousarray(answer.data).view(STREAM_BLOCK)[:, 0]
+        raw = answer.data.view(STREAM_BLOCK)[:, 0]
         position = self.scale.from_ticks(raw["position"])
         velocity = raw["velocity"] * self._velocity_unit
         current = raw["current"] * self._current_unit

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import re
 import tempfile
@@ -10,6 +9,11 @@ from pathlib import Path
 from types import TracebackType
 
 from robots.errors import PortLost
+
+try:
+    import fcntl
+except ImportError:  # not a POSIX system: there a serial port has one owner anyway
+    fcntl = None
 
 
 class PortLock:
@@ -28,7 +32,7 @@ class PortLock:
         Raises:
             PortLost: Another process holds it, or the lock file cannot be made.
         """
-        flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | getattr(os, "O_NOFOLLOW", 0)
+        flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
         try:
             file = os.open(self.path, flags, 0o666)
         except OSError as error:
@@ -36,7 +40,8 @@ class PortLock:
                 f"cannot make the lock file: {error.strerror}", where=str(self.path)
             ) from error
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if fcntl is not None:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             owner = os.read(file, 32).decode("ascii", "replace").strip()
             os.close(file)
@@ -46,7 +51,8 @@ class PortLock:
                 hint="stop the other player first",
             ) from error
         os.ftruncate(file, 0)
-        os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
+        os.lseek(file, 0, os.SEEK_SET)
+        os.write(file, f"{os.getpid()}\n".encode())
         self._file = file
         return self
 

@@ -13,28 +13,18 @@ from __future__ import annotations
 
 import logging
 import os
-import termios
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import Literal
 
 import dynamixel_sdk as sdk
-import serial
+import numpy as np
+from numpy.typing import NDArray
 
 from bridge.servo.clock import Clock, MonotonicClock
-from bridge.servo.packets import (
-    ALERT,
-    ERROR_NAMES,
-    FAST_OVERHEAD,
-    MAX_LENGTH,
-    STATUS,
-    Parser,
-    fast_answers,
-    fast_head,
-    stuff,
-    unstuff,
-)
-from bridge.servo.serial_port import OpenSerial, open_serial
+from bridge.servo.packets import ALERT, ERROR_NAMES, Parser, stuff, unstuff
+from bridge.servo.serial_port import PORT_ERRORS, OpenSerial, open_serial
+from bridge.servo.stream import SyncReadPacket, SyncWritePacket
+from bridge.servo.transport import SyncAnswer
 from robots.errors import BusCorrupt, BusError, BusTimeout, PortLost, ServoFault
 
 log = logging.getLogger(__name__)
@@ -45,9 +35,6 @@ operating system's, with a millisecond latency timer."""
 QUIET, STREAM_QUIET, DRAIN_LIMIT = 0.012, 0.002, 0.060
 """After an error: the silence that counts as idle (shorter while streaming, where a late answer is
 merely an old position) and how long to wait for it, s."""
-
-STATUS_OVERHEAD = 11
-"""Bytes of a status packet beside its data."""
 
 
 class _Port(sdk.PortHandler):
@@ -155,7 +142,9 @@ class SdkTransport:
         self._patience = patience
         self._device: _Port | None = None
         self._packets = _Packets()
-        self._asked: tuple[int, tuple[int, ...], bool] = (0, (), False)
+        self._writes: dict[tuple[int, int, tuple[int, ...]], SyncWritePacket] = {}
+        self._reads: dict[tuple[int, int, tuple[int, ...], bool], SyncReadPacket] = {}
+        self._asked: SyncReadPacket | None = None
 
     def open(self) -> None:
         """Open the port.
@@ -166,7 +155,7 @@ class SdkTransport:
         device = _Port(self.port, self._baud, self._opener, self._clock, self._patience)
         try:
             device.openPort()
-        except (OSError, ValueError, termios.error, serial.SerialException) as error:
+        except (*PORT_ERRORS, ValueError) as error:
             if device.ser is not None:
                 device.ser.close()
             raise PortLost(
@@ -183,7 +172,7 @@ class SdkTransport:
             return
         try:
             device.closePort()
-        except (OSError, termios.error, serial.SerialException) as error:
+        except PORT_ERRORS as error:
             log.warning("%s: closing failed: %s", self.port, _reason(error))
 
     def ping(self, servo_id: int) -> int:
@@ -217,19 +206,15 @@ class SdkTransport:
             self._check(servo_id, result, error)
             return error & ALERT
 
-    def sync_write(self, address: int, data: Mapping[int, bytes]) -> None:
-        """Write to several servos with one packet."""
-        lengths = {len(value) for value in data.values()}
-        if len(lengths) != 1:
-            raise ValueError("a sync write needs data of one length")
-        params = [byte for servo_id, value in data.items() for byte in (servo_id, *value)]
-        if 4 * len(params) // 3 + 7 > MAX_LENGTH:
-            raise ValueError("too many servos for one sync write")
+    def sync_write(self, address: int, ids: Sequence[int], data: NDArray[np.uint8]) -> None:
+        """Write a row of ``data`` ``[N, length]`` to each servo with one packet."""
+        key = (address, data.shape[1], tuple(ids))
+        packet = self._writes.get(key)
+        if packet is None:
+            packet = self._writes[key] = SyncWritePacket(*key)
+        filled = packet.filled(data)
         with self._guard() as device:
-            result = self._packets.syncWriteTxOnly(
-                device, address, lengths.pop(), params, len(params)
-            )
-            self._check(None, result, 0)
+            device.writePort(filled)
 
     def sync_read_begin(
         self, address: int, length: int, ids: Sequence[int], *, fast: bool = False
@@ -239,85 +224,88 @@ class SdkTransport:
         With ``fast`` they answer with one chained packet, which takes less of the wire; but it
         breaks off at the first servo that is not there or too old for it.
         """
-        self._asked = (length, tuple(ids), fast)
+        key = (address, length, tuple(ids), fast)
+        asked = self._reads.get(key)
+        if asked is None:
+            asked = self._reads[key] = SyncReadPacket(address, length, ids, fast=fast)
+        self._asked = asked
         with self._guard() as device:
-            result = self._packets.syncReadTx(device, address, length, list(ids), len(ids), fast)
-            self._check(None, result, 0)
+            device.clearPort()
+            device.writePort(asked.request)
+            device.setPacketTimeout(len(asked.request) + asked.size)
 
-    def sync_read_end(self) -> dict[int, tuple[int, bytes]]:
-        """Return (alert bit, data) of every servo that answered, by id.
+    def sync_read_end(self) -> SyncAnswer:
+        """Return what every servo answered; those that did not are marked.
 
         Answers are matched by id, whatever their order; those of the wrong length, twice the same
-        or with a wrong checksum are dropped. Servos that did not answer are missing.
+        or with a wrong checksum are dropped.
         """
-        length, ids, fast = self._asked
-        if fast:
-            return self._end_fast(length, ids)
-        missing, answers = set(ids), {}
-        parser = Parser()
+        asked, received = self._asked, bytearray()
+        if asked is None:
+            raise ValueError("sync_read_end without sync_read_begin")
         with self._guard() as device:
-            while missing:
-                data = device.readPort(len(missing) * (STATUS_OVERHEAD + length))
-                for packet in parser.feed(data):
-                    servo_id, params = packet.servo_id, packet.params
-                    if packet.code != STATUS or servo_id not in missing or not params:
-                        continue
-                    if params[0] & ~ALERT == 0 and len(params) == length + 1:
-                        answers[servo_id] = (params[0] & ALERT, params[1:])
-                        missing.discard(servo_id)
-                if missing and not data and device.isPacketTimeout():
-                    self._drain(STREAM_QUIET)
-                    break
-        return answers
-
-    def _end_fast(self, length: int, ids: tuple[int, ...]) -> dict[int, tuple[int, bytes]]:
-        """Return (alert bit, data) of the servos before the first that is missing or damaged."""
-        head = fast_head(length, len(ids))
-        size = len(head) + len(ids) * (length + FAST_OVERHEAD)
-        received, start = bytearray(), -1
-        with self._guard() as device:
-            while True:
-                wanted = start + size if start >= 0 else max(size, len(received) + len(head))
-                data = device.readPort(wanted - len(received))
+            while len(received) < asked.size:
+                data = device.ser.read(asked.size - len(received))
                 received += data
-                start = received.find(head)
-                if start >= 0 and len(received) >= start + size:
-                    break
                 if not data and device.isPacketTimeout():
-                    self._drain(STREAM_QUIET)
                     break
-                if len(received) >= 2 * size:  # noise alone: an answer cannot come that late
-                    self._drain(STREAM_QUIET)
-                    break
-        if start < 0:
-            return {}
-        answers = fast_answers(bytes(received[start:]), length, len(ids))
-        return {
-            servo_id: (error & ALERT, data)
-            for error, servo_id, data in answers
-            if servo_id in ids and not error & ~ALERT
-        }
+            answer = asked.whole(received)
+            if answer is None:
+                salvage = self._end_chain if asked.fast else self._end_packets
+                answer = salvage(device, asked, received)
+        return answer
 
-    @contextmanager
-    def _guard(self, servo_id: int | None = None) -> Iterator[_Port]:
+    def _end_packets(self, device: _Port, asked: SyncReadPacket, received: bytearray) -> SyncAnswer:
+        """Read on until every servo has answered or time is up; return what is intact."""
+        parts: dict[int, tuple[int, bytes]] = {}
+        parser, data = Parser(), bytes(received)
+        while True:
+            for packet in parser.feed(data):
+                if asked.intact(packet) and packet.servo_id not in parts:
+                    parts[packet.servo_id] = (packet.params[0], packet.params[1:])
+            missing = len(asked.ids) - len(parts)
+            if not missing:
+                break
+            if not data and device.isPacketTimeout():
+                self._drain(STREAM_QUIET)
+                break
+            data = device.readPort(missing * asked.size // len(asked.ids))
+        return asked.collected(parts)
+
+    def _end_chain(self, device: _Port, asked: SyncReadPacket, received: bytearray) -> SyncAnswer:
+        """Read on until the chained answer is complete or time is up; return what is intact."""
+        head, size = asked.head, asked.size
+        while True:
+            start = received.find(head)
+            if start >= 0 and len(received) >= start + size:
+                break
+            wanted = start + size if start >= 0 else max(size, len(received) + len(head))
+            data = device.readPort(wanted - len(received))
+            received += data
+            if not data and device.isPacketTimeout():
+                self._drain(STREAM_QUIET)
+                break
+            if len(received) >= 2 * size:  # noise alone: an answer cannot come that late
+                self._drain(STREAM_QUIET)
+                break
+        return asked.parts_of_chain(received[start:]) if start >= 0 else asked.collected({})
+
+    def _guard(self, servo_id: int | None = None) -> _Guard:
         """Turn every way in which the SDK or the port can fail into one of our errors."""
-        device = self._device
-        if device is None:
+        if self._device is None:
             raise PortLost("is not open", where=self.port)
-        device.is_using = False
-        try:
-            yield device
-        except (BusTimeout, BusCorrupt):
+        return _Guard(self, self._device, servo_id)
+
+    def failed(self, error: BaseException, servo_id: int | None) -> BusError | None:
+        """Leave the line silent behind an error; return what to raise instead of it."""
+        if isinstance(error, (BusTimeout, BusCorrupt)):
             self._drain()
-            raise
-        except IndexError as error:
+            return None
+        if isinstance(error, IndexError):
             self._drain()
             who = f" from servo {servo_id}" if servo_id is not None else ""
-            raise BusCorrupt(f"an answer{who} was not a packet", where=self.port) from error
-        except (OSError, termios.error, serial.SerialException) as error:
-            raise self._lost(error) from error
-        finally:
-            device.is_using = False
+            return BusCorrupt(f"an answer{who} was not a packet", where=self.port)
+        return self._lost(error) if isinstance(error, PORT_ERRORS) else None
 
     def _lost(self, error: BaseException) -> PortLost:
         return PortLost(
@@ -355,8 +343,32 @@ class SdkTransport:
                 if not device.waiting:
                     break
                 device.clearPort()
-        except (OSError, termios.error, serial.SerialException) as error:
+        except PORT_ERRORS as error:
             raise self._lost(error) from error
+
+
+class _Guard:
+    """What surrounds each use of the port; no generator, because it is entered in every tick."""
+
+    __slots__ = ("_device", "_servo_id", "_transport")
+
+    def __init__(self, transport: SdkTransport, device: _Port, servo_id: int | None) -> None:
+        self._transport = transport
+        self._device = device
+        self._servo_id = servo_id
+
+    def __enter__(self) -> _Port:
+        self._device.is_using = False
+        return self._device
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: object
+    ) -> None:
+        self._device.is_using = False
+        if error is not None:
+            ours = self._transport.failed(error, self._servo_id)
+            if ours is not None:
+                raise ours from error
 
 
 def _reason(error: BaseException) -> str:

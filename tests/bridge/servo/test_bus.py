@@ -239,7 +239,7 @@ def test_goals_that_need_byte_stuffing_arrive(monkeypatch):
     servo = rig.servo(0)
     servo.memory.set("operating_mode", 4)
     value = int.from_bytes(b"\xff\xff\xfd\xff", "little", signed=True)
-    rig.transport.sync_write(116, {servo.id: value.to_bytes(4, "little", signed=True)})
+    rig.transport.sync_write(116, [servo.id], np.array([[255, 255, 253, 255]], np.uint8))
     assert servo.get("goal_position") == value
     rig.transport.write(servo.id, 116, b"\xfe\xff\xff\xff")
     sent = []
@@ -250,7 +250,7 @@ def test_goals_that_need_byte_stuffing_arrive(monkeypatch):
         return original(serial, data)
 
     monkeypatch.setattr(VirtualSerial, "write", spy)
-    rig.transport.sync_write(116, {servo.id: b"\xff\xff\xfd\xff"})
+    rig.transport.sync_write(116, [servo.id], np.array([[255, 255, 253, 255]], np.uint8))
     assert b"\xff\xff\xfd\xfd\xff" in sent[0]
     assert rig.transport.read(servo.id, 116, 4)[1] == b"\xff\xff\xfd\xff"
 
