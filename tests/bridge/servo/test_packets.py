@@ -5,7 +5,7 @@ from __future__ import annotations
 import dynamixel_sdk as sdk
 import numpy as np
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from bridge.servo import packets
@@ -57,17 +57,20 @@ def test_a_fast_read_is_not_unstuffed():
     assert b"\xff\xff\xfd\xfd" in packet.params
 
 
+@settings(deadline=None)
 @given(st.one_of(st.binary(max_size=200), st.binary(min_size=1000, max_size=1100)))
 def test_the_checksum_agrees_with_the_sdk(data):
     theirs = sdk.Protocol2PacketHandler().updateCRC(0, list(data), len(data))
     assert crc16(data) == theirs
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=300), st.binary(max_size=300))
 def test_a_checksum_goes_on_from_another(first, second):
     assert crc16(second, crc16(first)) == crc16(first + second)
 
 
+@settings(deadline=None)
 @given(BODIES)
 @example(bytes.fromhex("fffffdfffdfd"))  # the SDK's own codec does not survive this one
 @example(bytes.fromhex("fffffdfdfd"))
@@ -75,12 +78,14 @@ def test_stuffing_can_be_undone(body):
     assert unstuff(stuff(body)) == body
 
 
+@settings(deadline=None)
 @given(BODIES)
 def test_stuffed_bytes_hold_no_header(body):
     assert packets.HEADER not in stuff(body) + b"\x01"
     assert b"\xff\xff\xfd\x00" not in stuff(body)
 
 
+@settings(deadline=None)
 @given(IDS, st.integers(0, 255), BODIES)
 def test_every_packet_survives_the_wire(servo_id, code, params):
     if servo_id == packets.BROADCAST and code == packets.STATUS:
@@ -92,6 +97,7 @@ def test_every_packet_survives_the_wire(servo_id, code, params):
     assert parser.dropped == 0
 
 
+@settings(deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 252), BODIES), max_size=5), st.data())
 def test_packets_are_found_however_the_stream_is_cut(messages, data):
     wire = b"".join(instruction(servo_id, 3, params) for servo_id, params in messages)
@@ -103,6 +109,7 @@ def test_packets_are_found_however_the_stream_is_cut(messages, data):
     assert [(packet.servo_id, packet.params) for packet in found] == messages
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=300))
 def test_garbage_never_raises_and_what_comes_out_has_a_right_checksum(noise):
     parser = Parser()
@@ -111,6 +118,7 @@ def test_garbage_never_raises_and_what_comes_out_has_a_right_checksum(noise):
     assert parser.pending < packets.MAX_PACKET
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=60), BODIES)
 def test_a_packet_after_garbage_is_found(noise, params):
     wire = instruction(7, 3, params)
@@ -122,6 +130,7 @@ def test_a_packet_after_garbage_is_found(noise, params):
     assert found == [Packet(7, 3, params, len(wire))]
 
 
+@settings(deadline=None)
 @given(BODIES, st.data())
 def test_one_wrong_bit_never_makes_a_value(params, data):
     wire = bytearray(status(7, 0, params))
