@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "files",
         nargs="+",
         type=Path,
-        help="a motion, a rollout and/or both trajectories; side by side in a video",
+        help="a motion, a rollout, telemetry and/or both trajectories; side by side in a video",
     )
     parser.add_argument(
         "--to",

@@ -15,7 +15,10 @@ from robots.errors import SpecError
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what is shown and where."""
     parser.add_argument(
-        "files", nargs="+", type=Path, help="a motion, a rollout, or both trajectories of a duet"
+        "files",
+        nargs="+",
+        type=Path,
+        help="a motion, a rollout, telemetry, or both trajectories of a duet",
     )
     parser.add_argument("--host", default="127.0.0.1", help="0.0.0.0 shows it to the network")
     parser.add_argument("--port", type=int, default=8080, help="of the page (default 8080)")
