@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bridge.trajectory import JointTrajectory
-from robots.errors import LimitViolation, nearest
+from robots.errors import LimitViolation, SpecError, nearest
 from robots.skeleton import FloatArray
 from robots.spec import RobotSpec
 
@@ -51,6 +51,19 @@ class Part:
         part.require_within(ordered.position, ordered.times)
         _require_speed(part, speed)
         return part
+
+    def only(self, names: Sequence[str]) -> Part:
+        """Return the part of these joints alone; the others are left as they are."""
+        columns = [i for i, name in enumerate(self.robot.joint_names) if name in names]
+        robot = replace(self.robot, joints=tuple(self.robot.joints[i] for i in columns))
+        trajectory = JointTrajectory(
+            self.trajectory.times,
+            self.trajectory.position[:, columns],
+            robot.joint_names,
+            robot.name,
+            self.trajectory.metadata,
+        )
+        return Part(robot, trajectory)
 
     def require_within(self, position: FloatArray, times: FloatArray | None = None) -> None:
         """Refuse positions ``[D]`` or ``[N, D]`` rad outside the robot's limits.
@@ -113,3 +126,30 @@ def plan(
         Part.of(trajectory, robot, speed=speed)
         for trajectory, robot in zip(trajectories, robots, strict=True)
     )
+
+
+def select(
+    parts: Sequence[Part], *, only: Sequence[str] | None = None, without: Sequence[str] = ()
+) -> tuple[Part, ...]:
+    """Return the parts of some joints alone: of those in ``only`` (``None``: all) but ``without``.
+
+    Raises:
+        SpecError: No robot has such a joint, or one would be left with none.
+    """
+    known = [name for part in parts for name in part.robot.joint_names]
+    for name in (*(only or ()), *without):
+        if name not in known:
+            raise SpecError(f"no joint '{name}'", hint=nearest(name, known))
+    chosen: list[Part] = []
+    for part in parts:
+        names = [
+            name
+            for name in part.robot.joint_names
+            if (only is None or name in only) and name not in without
+        ]
+        if not names:
+            raise SpecError(
+                "no joint is left to play", where=part.robot.name, hint="name one of its joints"
+            )
+        chosen.append(part if len(names) == len(part.robot.joints) else part.only(names))
+    return tuple(chosen)

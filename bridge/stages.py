@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -239,6 +239,9 @@ def play(
     settings: PlayerSettings | None = None,
     arm: bool = False,
     force: bool = False,
+    only: Sequence[str] | None = None,
+    without: Sequence[str] = (),
+    write_eeprom: bool = False,
     stop: threading.Event | None = None,
     progress: Progress = no_progress,
 ) -> Performance:
@@ -254,6 +257,9 @@ def play(
         settings: How to play.
         arm: Real servos may move.
         force: Play what the report refuses, on virtual ports.
+        only: Joints that play; all, if not given.
+        without: Joints that do not.
+        write_eeprom: Make real servos' EEPROM what the robot's file says, after a backup.
         stop: Ends the performance when set.
         progress: Told the share done.
 
@@ -280,6 +286,9 @@ def play(
         settings=settings,
         arm=arm,
         force=force,
+        only=only,
+        without=without,
+        write_eeprom=write_eeprom,
         telemetry=telemetry,
         on_progress=lambda state, share: progress(share) if state == "PLAY" else None,
         stop=stop,

@@ -36,13 +36,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--speed", type=float, default=1.0, help="of the dance; 0.3 for a first run on metal"
     )
+    parser.add_argument(
+        "--dry-run", action="store_true", help="everything but torque, goals and settings"
+    )
+    parser.add_argument("--only", nargs="+", metavar="JOINT", help="joints that play")
+    parser.add_argument(
+        "--without", nargs="+", default=[], metavar="JOINT", help="joints that do not play"
+    )
+    parser.add_argument(
+        "--write-eeprom",
+        action="store_true",
+        help="make real servos' EEPROM what the robot's file says, after a backup",
+    )
     parser.add_argument("--rate", type=float, help="ticks per second (default 60)")
     parser.add_argument("--robot-a", metavar="NAME", help="folder of a's robot, if not built in")
     parser.add_argument("--robot-b", metavar="NAME", help="folder of b's robot, if not built in")
 
 
 def execute(args: argparse.Namespace, console: Console) -> int:
-    """Play; Ctrl-C slows down and holds, a second one relaxes at once."""
+    """Play; Ctrl-C slows down, a second one relaxes, a third cuts the torque."""
     from bridge.player.settings import PlayerSettings
     from bridge.stop import stop_on_signals
 
@@ -57,9 +69,12 @@ def execute(args: argparse.Namespace, console: Console) -> int:
             robots=(args.robot_a, args.robot_b),
             ports=(ports[0], ports[1]),
             plant=args.plant,
-            settings=PlayerSettings(speed=args.speed, rate=args.rate),
+            settings=PlayerSettings(speed=args.speed, rate=args.rate, dry_run=args.dry_run),
             arm=args.arm,
             force=args.force,
+            only=args.only,
+            without=args.without,
+            write_eeprom=args.write_eeprom,
             stop=stop,
             progress=progress,
         )

@@ -6,15 +6,17 @@ skipped::
     CHECKED     trajectories within limits, report passed, ports allowed      nothing is open yet
     DISCOVERED  the right servos answer
     CONFIGURED  torque off; mode, limits, gains, speed ceilings
-    ARMED       goal := present, read back; torque on; bus watchdog on
+    ARMED       goal := present, read back; torque on; bus watchdog on; strength grows
     RAMP        minimum jerk from where they stand to the first pose
     PLAY        goals at absolute times t0 + k dt, both robots from one phase
     SETTLE      the last goal is held until the servos have arrived
-    RELAX       torque off, on every servo, whatever fails
+    RELAX       strength fades, then torque off, on every servo, whatever fails
 
-A stop follows the path with falling speed, then HOLD, then RELAX; a second stop relaxes at once.
-Any fault freezes both robots at their last goals (FAULT), then relaxes them. A late tick is left
-out, never caught up. What it promises and what it cannot is in ``SAFETY.md``.
+A stop follows the path with falling speed, then HOLD, then RELAX; a second stop relaxes at once, a
+third cuts the torque. A silent servo or a lost port makes both robots wait at one phase (FREEZE)
+and go on from it (RESUME) if it comes back. Any fault freezes both robots at their last goals
+(FAULT), then relaxes them. A late tick is left out, never caught up. What it promises and what it
+cannot is in ``SAFETY.md``.
 """
 
 from __future__ import annotations
@@ -25,19 +27,22 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from bridge.plan import plan
-from bridge.player.performer import OnProgress, Performer
+from bridge.plan import plan, select
+from bridge.player.performer import Performer
 from bridge.player.puppet import Puppet
-from bridge.player.settings import PlayerSettings
+from bridge.player.settings import DEFAULT_RATE, PlayerSettings
+from bridge.player.streamer import OnProgress
 from bridge.player.telemetry import Performance, Telemetry
 from bridge.ports import VIRTUAL, Connect, Ports, connect, ports_of
 from bridge.servo.clock import Clock, MonotonicClock
-from bridge.stop import StopRequest
+from bridge.stop import StopRequest, relaxed_at_exit
 from bridge.trajectory import JointTrajectory
 from robots.errors import GateRefused, SpecError
 from robots.spec import RobotSpec
 
 PEOPLE = ("a", "b")
+BACKUPS = Path("servo-backups")
+"""Folder for what servos' EEPROM held before it was written."""
 MAX_OVERLAP_MM = 5.0
 """Deepest overlap of the robots that metal gives way to, mm: a touch of hands, no more."""
 
@@ -61,6 +66,10 @@ def play(
     settings: PlayerSettings | None = None,
     arm: bool = False,
     force: bool = False,
+    only: Sequence[str] | None = None,
+    without: Sequence[str] = (),
+    write_eeprom: bool = False,
+    backups: Path = BACKUPS,
     telemetry: str | Path | None = None,
     on_progress: OnProgress | None = None,
     stop: threading.Event | None = None,
@@ -75,54 +84,73 @@ def play(
         gate: What the report says.
         ports: Per robot ``"virtual"``, a device file, or a device file per bus name.
         settings: How to play.
-        arm: Real ports are only used if this is set.
-        force: Perform even if the gate did not pass; on virtual ports alone.
+        arm: Real servos may only be moved if this is set.
+        force: Perform even if the gate did not pass; on virtual ports or as a dry run alone.
+        only: Joints that play; the others are not even spoken to. All, if not given.
+        without: Joints that do not play, likewise.
+        write_eeprom: EEPROM of real servos that differs from the robot's file is backed up and
+            written; otherwise it is refused. Virtual servos are always written.
+        backups: Folder for what EEPROM held before.
         telemetry: File for what happens, one JSON line per tick and robot.
         on_progress: Told about the state and how much of it is done.
-        stop: Set to stop; a :class:`StopRequest` set twice relaxes at once.
+        stop: Set to stop; a :class:`StopRequest` set twice relaxes at once, and can pause.
         clock: Gives the time and waits.
         connector: Makes transports; tests put theirs here.
 
     Raises:
         LimitViolation: A trajectory does not fit its robot; nothing was opened.
         GateRefused: The report did not pass, or real ports are not armed; nothing was opened.
+        SpecError: Ports or joints are not as they should be; nothing was opened.
         BusError: Hardware failed; both robots were frozen and relaxed as far as that was possible.
     """
     settings = settings or PlayerSettings()
     clock = clock or MonotonicClock()
     if not len(trajectories) == len(robots) == len(ports) == len(PEOPLE):
         raise SpecError("a duet has two trajectories, two robots and two ports")
-    parts = plan(trajectories, robots, speed=settings.speed)
+    parts = select(plan(trajectories, robots, speed=settings.speed), only=only, without=without)
     wires = [ports_of(robot, port) for robot, port in zip(robots, ports, strict=True)]
-    _require_allowed(gate, wires, arm=arm, force=force)
+    _require_allowed(gate, wires, moves=not settings.dry_run, arm=arm, force=force)
+    rate = settings.rate or min(DEFAULT_RATE, 1000 / max(robot.cycle_ms for robot in robots))
+    stop = stop or StopRequest()
     with ExitStack() as stack:
         file = stack.enter_context(Telemetry(telemetry))
-        puppets = []
-        for person, part, wire in zip(PEOPLE, parts, wires, strict=True):
+        puppets, eeprom = [], []
+        for person, part, robot, wire in zip(PEOPLE, parts, robots, wires, strict=True):
+            used = {joint.servo.bus for joint in part.robot.joints}
             transports = {
-                bus: connector(part.robot, bus, port, clock, stack) for bus, port in wire.items()
+                bus: connector(robot, bus, port, clock, stack)
+                for bus, port in wire.items()
+                if bus in used
             }
-            puppet = Puppet(person, part, transports)
+            puppet = Puppet(person, part, transports, settings, period=1 / rate)
             stack.callback(puppet.close)
             puppets.append(puppet)
+            virtual = set(wire.values()) == {VIRTUAL}
+            eeprom.append("free" if virtual else "write" if write_eeprom else "keep")
         performer = Performer(
             puppets,
             settings,
+            period=1 / rate,
             clock=clock,
             file=file,
             on_progress=on_progress,
-            stop=stop or StopRequest(),
+            stop=stop,
+            eeprom=eeprom,
+            backups=backups,
         )
+        stack.enter_context(relaxed_at_exit(stop))
         return performer.run()
 
 
 def _require_allowed(
-    gate: Verdict, wires: Sequence[dict[str, str]], *, arm: bool, force: bool
+    gate: Verdict, wires: Sequence[dict[str, str]], *, moves: bool, arm: bool, force: bool
 ) -> None:
     real = sorted({port for wire in wires for port in wire.values() if port != VIRTUAL})
     every = [port for wire in wires for port in wire.values() if port != VIRTUAL]
     if len(real) < len(every):
         raise SpecError("one port cannot serve two buses", where=", ".join(real))
+    if not moves:
+        real = []  # nothing that a report or a clear stage would be needed for
     if not gate.passed and not (force and not real):
         raise GateRefused(
             "the plausibility report did not pass",

@@ -34,14 +34,31 @@ class PlayerSettings:
     """Time in which a stop slows down, s."""
     hold_time: float = 0.5
     """How long the pose is held after a stop or a fault before torque goes off, s."""
-    error_timeout: float = 0.3
-    """How long a servo may stay silent, s."""
+    lost_reads: int = 3
+    """How many answers of a servo in a row may be missing before both robots wait for it."""
+    recover_time: float = 2.0
+    """How long they wait for it or for a lost port, s; 0 for not at all."""
+    recoveries: int = 3
+    """How often in one performance."""
+    soft_time: float = 1.0
+    """Time in which servos get their strength after torque has come on, s."""
+    soft_share: float = 0.2
+    """Share of it that they begin with."""
+    relax_time: float = 1.0
+    """Time in which they lose it before torque goes off, s."""
     watchdog: float = 0.5
     """Silence after which servos stop by themselves, s; 0 for never."""
     max_stall: float = 0.4
     """How late a tick may be before the performance is given up, s."""
     start_tolerance: float = math.radians(5)
     """How far outside its limits a joint may stand at the start, rad."""
+    acceleration_time: float = 0.1
+    """In which a joint may be told to reach its no-load speed, s."""
+    reach: float = 0.6
+    """How far a goal that is sent may be from where the joint is, rad: more than the servos of the
+    robots here need for their full torque, and less than :attr:`stray`."""
+    dry_run: bool = False
+    """Everything but torque, goals and settings: servos are looked at, nothing is written."""
     stray: float = 0.8
     """How far from its goal a joint may be, rad ..."""
     stray_time: float = 0.5
@@ -59,7 +76,14 @@ class PlayerSettings:
             "settle_time": (0, 60),
             "stop_time": (0.05, 10),
             "hold_time": (0, 60),
-            "error_timeout": (0.02, 10),
+            "lost_reads": (0, 1000),
+            "recover_time": (0, 600),
+            "recoveries": (0, 1000),
+            "soft_time": (0, 10),
+            "soft_share": (0, 1),
+            "relax_time": (0, 10),
+            "acceleration_time": (0.01, 10),
+            "reach": (0.05, 10),
             "watchdog": (0, 2.54),
             "max_stall": (0.02, 10),
             "start_tolerance": (0, 0.5),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
+import time
 from contextlib import ExitStack
 
 import numpy as np
@@ -18,7 +20,7 @@ from robots.errors import (
     ServoFault,
 )
 from robots.spec import RobotSpec
-from tests.bridge.player.stage import BRISK, DANCES, ROBOTS, STEP, Stage, states, ticks
+from tests.bridge.player.stage import BRISK, DANCES, ROBOTS, SMALL, STEP, Stage, states, ticks
 
 
 def test_a_duet_is_played_from_rest_to_rest(tmp_path):
@@ -231,3 +233,11 @@ def test_a_host_that_stalls_too_long_gives_up_safely():
     with pytest.raises(BusTimeout, match="paused"):
         stage.play(on_progress=stall(stage, 1.0))
     assert stage.torques() == [0] * 31
+
+
+@pytest.mark.parametrize("leap", [3600.0, -3600.0])
+def test_setting_the_wall_clock_changes_nothing(monkeypatch, leap):
+    undisturbed = Stage(robots=SMALL).play()
+    steps = itertools.count()
+    monkeypatch.setattr(time, "time", lambda: 1.7e9 + leap * next(steps))
+    assert Stage(robots=SMALL).play() == undisturbed

@@ -1,0 +1,207 @@
+"""One bus of a robot, as the player sees it: it can be lost, come back, and be let go of."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bridge.player.health import Health
+from bridge.servo.bus import ServoBus
+from bridge.servo.packets import BROADCAST
+from robots.errors import BusCorrupt, BusError, BusTimeout, PortLost, ServoFault
+from robots.skeleton import FloatArray
+
+log = logging.getLogger(__name__)
+
+RETRY_TIME = 0.1
+"""Time between two attempts to open a lost port, s."""
+CUT_TIMES = 3
+"""How often torque-off is broadcast: nobody answers, so once may get lost."""
+
+Eeprom = Literal["keep", "write", "free"]
+"""What may happen to EEPROM that differs: refuse, write after a backup, or write (virtual)."""
+
+T = TypeVar("T")
+
+
+class Link:
+    """The servos behind one port, and whether that port still works."""
+
+    def __init__(self, bus: ServoBus, columns: NDArray[np.int64]) -> None:
+        """Take a bus and the joints ``[D]`` of the robot that hang on it."""
+        self.bus = bus
+        self.columns = columns
+        self.health: Health | None = None
+        """Judge of the servos, once :meth:`configure` or :meth:`inspect` is through."""
+        self.lost: PortLost | None = None
+        """Why the port is gone; ``None`` while it works."""
+        self._next_try = 0.0
+        self._effort: list[int] | None = None
+
+    # -- setting up -------------------------------------------------------------------------------
+
+    def inspect(self) -> None:
+        """Look at the servos without writing anything.
+
+        Raises:
+            ServoFault: A servo has a latched error, or an offset or reversal of its own.
+        """
+        for index in range(len(self.bus.ids)):
+            self.bus.require_plain(index)
+        self.health = Health(self.bus)
+
+    def differences(self) -> list[str]:
+        """Return in words where EEPROM differs from what the robot's file asks for."""
+        found: list[str] = []
+        for index in range(len(self.bus.ids)):
+            for name, wanted in self.bus.permanent(index).items():
+                value = self.bus.registers.read(index, name)
+                if value != wanted:
+                    found.append(f"{self.bus.registers.who(index)}: {name} {value} -> {wanted}")
+        return found
+
+    def configure(self, eeprom: Eeprom, backups: Path) -> None:
+        """Torque off; mode, limits, gains and speed ceilings as in the robot's file.
+
+        Raises:
+            ServoFault: EEPROM would have to be written, and may not.
+        """
+        if eeprom == "keep":
+            different = self.differences()
+            if different:
+                raise ServoFault(
+                    f"the EEPROM of servos differs from the robot's file: {'; '.join(different)}",
+                    where=self.bus.port,
+                    hint="play with --write-eeprom once: it makes a backup and writes them",
+                )
+        elif eeprom == "write":
+            self._write_eeprom(backups)
+        self.bus.configure()
+        self.health = Health(self.bus)
+        registers = self.bus.registers
+        tables = self.bus.tables
+        if all("goal_pwm" in t and t["goal_pwm"] == tables[0]["goal_pwm"] for t in tables):
+            count = range(len(tables))
+            self._effort = [registers.read(index, "pwm_limit") for index in count]
+
+    def _write_eeprom(self, backups: Path) -> None:
+        from bridge.setup.backup import change
+
+        for error in self.bus.torque_off():
+            raise error
+        for index in range(len(self.bus.ids)):
+            wanted = self.bus.permanent(index)
+            change(self.bus.registers, index, wanted, lambda text: True, folder=backups)
+
+    # -- while the port may go away ---------------------------------------------------------------
+
+    def attempt(self, call: Callable[[], T]) -> T | None:
+        """Call, unless the port is lost; note if it is lost now.
+
+        Raises:
+            ServoFault: A servo says so.
+        """
+        if self.lost is not None:
+            return None
+        try:
+            return call()
+        except PortLost as error:
+            log.warning("%s", error)
+            self.lost = error
+        except (BusTimeout, BusCorrupt) as error:
+            log.info("%s", error)
+        return None
+
+    def reopen(self, now: float) -> None:
+        """Try now and then to open a lost port again and find the same servos behind it.
+
+        Raises:
+            ServoFault: Others are there.
+        """
+        if self.lost is None or now < self._next_try:
+            return
+        self._next_try = now + RETRY_TIME
+        self.bus.close()
+        try:
+            self.bus.open()
+            self.bus.transport.ping(self.bus.ids[0])  # at once, before a round that takes long
+            self.bus.identify()
+            self.lost = None
+        except (PortLost, BusTimeout, BusCorrupt) as error:
+            log.debug("%s", error)
+
+    def revive(self, tolerance: float, watchdog: float) -> FloatArray | None:
+        """Make sure that servos that were away still hold; free those that stopped by themselves.
+
+        Returns:
+            Their goals ``[d]`` rad, now the present positions, if the watchdog had stopped any.
+
+        Raises:
+            ServoFault: A servo has lost its torque.
+        """
+        registers = self.bus.registers
+        for index in np.flatnonzero(registers.read_all("torque_enable") == 0):
+            raise ServoFault(
+                "has lost its torque",
+                where=registers.who(int(index)),
+                hint="check the supply: a servo that restarts comes back limp",
+            )
+        if (registers.read_all("bus_watchdog") >= 0).all():
+            return None
+        self.bus.watchdog(0)
+        goal = self.bus.hold_present(tolerance)
+        self.bus.watchdog(watchdog)
+        return goal
+
+    # -- letting go -------------------------------------------------------------------------------
+
+    @property
+    def yields(self) -> bool:
+        """Whether the servos' strength can be set."""
+        return self._effort is not None
+
+    def exert(self, share: float) -> None:
+        """Set the servos' strength: Goal PWM as a share of PWM Limit."""
+        effort = self._effort
+        if effort is not None:
+            self.bus.registers.write_all("goal_pwm", [round(share * most) for most in effort])
+
+    def cut(self) -> None:
+        """Broadcast torque off, a few times; whatever hears on this wire obeys."""
+        register = self.bus.tables[0]["torque_enable"]
+        for _ in range(CUT_TIMES):
+            try:
+                self.bus.transport.write(BROADCAST, register.address, register.encode(0))
+            except BusError as error:
+                log.warning("broadcasting torque off failed: %s", error)
+
+    def relax(self) -> list[BusError]:
+        """Try to switch torque off, whatever failed before; return what failed.
+
+        A watchdog and a strength that would puzzle whoever comes next are taken back.
+        """
+        if self.lost is not None:
+            self._open_once_more()
+        errors = self.bus.torque_off()
+        if errors:
+            self.cut()
+            return errors
+        try:
+            self.bus.watchdog(0)
+            if self._effort is not None:
+                self.bus.registers.ensure("goal_pwm", self._effort)
+        except BusError as error:
+            log.warning("some registers stay set: %s", error)
+        return []
+
+    def _open_once_more(self) -> None:
+        self.bus.close()
+        try:
+            self.bus.open()
+        except PortLost as error:
+            log.debug("%s", error)
