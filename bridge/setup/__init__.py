@@ -1,0 +1,1 @@
+"""Setting up real robots: finding servos, giving them ids, calibrating and moving single joints."""
