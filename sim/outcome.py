@@ -16,14 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.kinematics import fit_rotations
 from generator.motion import DuetMotion
 from robots.files import plain, write_json
-from robots.skeleton import FloatArray
 from sim.metrics import contact, effort, ground, tracking
 from sim.metrics.penetration import overlap
 from sim.rollout import Rollout, motion_sha256
-from sim.scene import PEOPLE, Scene
+from sim.scene import PEOPLE
 from sim.track import TrackSettings
 
 SCHEMA = "pasdedeux.outcome/1"
@@ -143,7 +141,7 @@ def outcome(
     """
     info, seconds, scene = rollout.metadata, float(rollout.times[-1]), rollout.scene()
     keypoints, reference = rollout.keypoints, rollout.reference
-    made, asked = overlap(scene, rollout.qpos), overlap(scene, _as_given(rollout, scene))
+    made, asked = overlap(scene, rollout.qpos), overlap(scene, rollout.as_given(scene))
     ended = rollout.ended
     over_limit = effort.effort_ratio(rollout.torque, rollout.bodies) > 1
     return TrackOutcome(
@@ -219,15 +217,6 @@ def _people(series: NDArray) -> PerPerson:
 
 def _p95_mm(depth: NDArray) -> float:
     return float(np.percentile(depth, 95)) * 1000
-
-
-def _as_given(rollout: Rollout, scene: Scene) -> FloatArray:
-    """Return the poses ``[N, nq]`` of the motion's own keypoints, before any repair."""
-    rotations = [
-        fit_rotations(body.skeleton, rollout.reference[:, p])
-        for p, body in enumerate(rollout.bodies)
-    ]
-    return scene.qpos(rollout.reference[:, :, 0], np.stack(rotations, axis=1))
 
 
 def _recall(rollout: Rollout) -> float | None:

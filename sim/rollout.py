@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from generator.kinematics import continuous, forward_kinematics
+from generator.kinematics import continuous, fit_rotations, forward_kinematics
 from generator.motion import Contact, DuetMotion, Motion
 from robots.errors import DuetError, MotionFileError
 from robots.files import read_archive, write_archive
@@ -175,6 +175,13 @@ class Rollout:
         """
         return load_scene(self.xml, self.bodies)
 
+    def as_given(self, scene: Scene) -> FloatArray:
+        """Return the poses ``[N, nq]`` of the motion's own keypoints, before any repair."""
+        rotations = [
+            fit_rotations(body.skeleton, self.reference[:, p]) for p, body in enumerate(self.bodies)
+        ]
+        return scene.qpos(self.reference[:, :, 0], np.stack(rotations, axis=1))
+
     def as_motion(self) -> DuetMotion:
         """Return what was simulated as a motion of the original frame rate."""
         scene, meta = self.scene(), self.metadata
@@ -248,10 +255,15 @@ class Rollout:
 
 
 def motion_sha256(motion: DuetMotion) -> str:
-    """Return a hash of what is moved and how, in hex: keypoints and frame rate of both people."""
-    digest = hashlib.sha256(repr(motion.fps).encode())
+    """Return a hash, in hex, of what tracking looks at.
+
+    That is the frame rate, the labelled touches, and both people's keypoints, rotations and bones.
+    """
+    digest = hashlib.sha256(repr((motion.fps, [astuple(c) for c in motion.contacts])).encode())
     for person in motion.people:
-        digest.update(np.ascontiguousarray(person.keypoints, dtype="<f8").tobytes())
+        turns = () if person.rotations is None else person.rotations
+        for array in (person.keypoints, turns, person.skeleton.offsets):
+            digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
     return digest.hexdigest()
 
 

@@ -76,11 +76,12 @@ def score(rollout: Rollout, gate: Gate | None = None) -> Report:
     _assist(sheet, rollout, bodies, gate)
     _contacts(sheet, rollout, bodies)
     scene = rollout.scene()
-    made, asked = (penetration.overlap(scene, q) for q in (rollout.qpos, rollout.reference_qpos))
+    given = rollout.as_given(scene)  # judged as it is, not as it was repaired
+    made, asked = (penetration.overlap(scene, qpos) for qpos in (rollout.qpos, given))
     _overlap(sheet, "simulated", made, gate.penetration_p95_mm, gate.floor_penetration_p95_mm)
     _feet(sheet, "simulated", scene, rollout.qpos, keypoints, rate)
     _overlap(sheet, "reference", asked, gate.reference_penetration_p95_mm, None)
-    _feet(sheet, "reference", scene, rollout.reference_qpos, reference, rate)
+    _feet(sheet, "reference", scene, given, reference, rate)
     _shift(sheet, rollout.metadata.get("ground_shift", (0.0, 0.0)))
     _body(sheet, reference, bodies, rate, gate)
     info = rollout.metadata

@@ -107,7 +107,7 @@ class Sheet:
                 person="both",
                 value=float(ended is not None),
                 unit="",
-                definition="1 if the physics diverged or the controller gave up",
+                definition="1 if somebody fell for good or the physics diverged",
                 threshold=0.0,
                 worst_time=None if ended is None else round(ended["time"], 4),
             )

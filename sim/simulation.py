@@ -102,6 +102,7 @@ class Simulation:
         self._delay = disturbance.ticks_late(reference.rate)
         self._muscles = np.concatenate([m.targets.ravel() for m in scene.maps])
         self.data = data = mujoco.MjData(self._model)
+        self._posed = mujoco.MjData(self._model)
         self.tick = 0
         data.qpos[:] = scene.qpos(reference.root[:1], reference.rotations[:1])[0]
         data.qvel[:] = reference_qvel(scene, reference)[0]
@@ -118,6 +119,12 @@ class Simulation:
     def done(self) -> bool:
         """Whether the reference is at its end."""
         return self.tick == self._last
+
+    def keypoints(self) -> FloatArray:
+        """Return where the keypoints ``[2, J, 3]`` m are now."""
+        self._posed.qpos[:] = self.data.qpos
+        mujoco.mj_kinematics(self._model, self._posed)
+        return np.stack([self._posed.xpos[at.bodies] for at in self._maps])
 
     def step(self) -> None:
         """Advance by one tick under the controls in ``data.ctrl`` and ``data.mocap_quat``.

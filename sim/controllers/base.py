@@ -8,6 +8,7 @@ may rewind and try again. One that is a mere policy uses :func:`simulate`. All h
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from sim.disturbance import NONE, Disturbance
 from sim.reference import Reference
+from sim.rollout import FALL_DISTANCE
 from sim.scene import Scene
 from sim.simulation import Simulation, Trace, quiet_mujoco, reference_qvel, substeps_per_tick
 
@@ -29,6 +31,9 @@ Progress = Callable[[float], None]
 
 Policy = Callable[[Any, int], None]
 """Given ``mujoco.MjData`` and a tick k, sets the controls that lead to tick k + 1."""
+
+_AFTER_FALL = 0.5
+"""How long a fall is shown before the run ends, s."""
 
 
 class Controller(Protocol):
@@ -47,7 +52,7 @@ class Controller(Protocol):
         *,
         disturbance: Disturbance = NONE,
     ) -> Trace:
-        """Simulate the whole reference.
+        """Simulate the reference; to its end unless somebody falls whom nothing saves.
 
         Args:
             scene: What the controller believes the world to be.
@@ -72,11 +77,22 @@ def simulate(
 ) -> Trace:
     """Return the trace of following a policy from the first pose of the reference to its end.
 
+    Ends early, half a second after a person fell; ``facts["ended"]`` then says so.
+
     Raises:
         SimDiverged: A state is not finite or absurdly fast.
     """
     run = Simulation(scene, reference, disturbance)
+    goal = scene.keypoints(scene.qpos(reference.root, reference.rotations))
+    fallen: int | None = None
     while not run.done:
+        off = np.linalg.norm(run.keypoints() - goal[run.tick], axis=-1)
+        if fallen is None and (off.mean(axis=-1) > FALL_DISTANCE).any():
+            fallen = run.tick
+        if fallen is not None and run.tick >= fallen + _AFTER_FALL * reference.rate:
+            why = f"a person fell at {fallen / reference.rate:.2f} s"
+            ended = {"time": run.tick / reference.rate, "why": why}
+            return replace(run.trace(), facts={"ended": ended})
         policy(run.data, run.tick)
         run.step()
         if progress is not None:

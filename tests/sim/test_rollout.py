@@ -55,6 +55,9 @@ def test_the_hash_tells_motions_apart(make_duet):
     assert motion_sha256(base) == motion_sha256(make_duet(0.4))
     assert motion_sha256(base) != motion_sha256(DuetMotion(base.b, base.a))
     assert motion_sha256(base) != motion_sha256(make_duet(0.4, fps=25.0))
+    assert motion_sha256(base) != motion_sha256(make_duet(0.4, with_rotations=False))
+    touch = Contact("left_hand", "right_hand", 0.1, 0.2, 0.3)
+    assert motion_sha256(base) != motion_sha256(replace(base, contacts=(touch,)))
 
 
 def damaged(rollout, path, *, header=None, arrays=None):

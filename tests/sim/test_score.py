@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -60,6 +61,15 @@ def test_people_inside_each_other_fail(duet, move):
         return
     assert "penetration_p95" in failed(tracked)
     assert tracked.score < 30
+
+
+def test_a_reference_is_judged_as_given_not_as_repaired(duet, move):
+    inside = DuetMotion(duet.a, move(duet.b, lambda k: k - np.array([1.1, 0, 0])))
+    rollout = track(inside, settings=ASSIST)
+    asked = [m for m in score(rollout).metrics if m.of == "reference"]
+    otherwise = replace(rollout, reference_qpos=np.roll(rollout.reference_qpos, 9, axis=0))
+    assert asked == [m for m in score(otherwise).metrics if m.of == "reference"]
+    assert next(m.value for m in asked if m.name == "penetration_max") > 50
 
 
 def test_teleporting_people_fail(duet, move):

@@ -120,6 +120,18 @@ def test_absurd_speed_ends_the_run_at_its_first_pose(make_duet, move):
     assert np.isfinite(rollout.as_motion().keypoints).all()
 
 
+def test_a_fall_is_shown_for_half_a_second_and_then_the_run_ends(make_duet, move):
+    base = make_duet(1.6)
+    up = DuetMotion(*(move(person, lambda k: k + np.array([0, 0, 0.6])) for person in base.people))
+    rollout = track(up, settings=replace(ASSIST, assist=AssistLimits(max_force=0, max_torque=0)))
+    assert rollout.ended is not None
+    assert "fell at" in rollout.ended["why"]
+    assert rollout.fall_time["a"] is not None
+    assert rollout.ended["time"] == pytest.approx(rollout.fall_time["a"] + 0.5, abs=0.05)
+    report = score(rollout)
+    assert {"fell", "ended_early"} <= {m.name for m in report.metrics if not m.passed}
+
+
 class Quitter:
     """Stands up to a tick, and diverges or gives up there."""
 
