@@ -7,6 +7,7 @@ from contextlib import ExitStack
 
 from bridge.servo.clock import Clock
 from bridge.servo.lock import PortLock
+from bridge.servo.rustypot_transport import RustypotTransport
 from bridge.servo.sdk_transport import SdkTransport
 from bridge.servo.transport import Transport
 from bridge.virtual.plant import SERVO
@@ -16,6 +17,9 @@ from robots.spec import RobotSpec
 
 VIRTUAL = "virtual"
 """Port name that stands for a virtual bus made for the occasion."""
+
+TRANSPORTS = ("sdk", "rustypot")
+"""Clients of the servo wire: the maker's (the default), or an optional one in compiled code."""
 
 Ports = str | Mapping[str, str]
 """Port of a robot: one name, or one per bus."""
@@ -57,6 +61,7 @@ def connect(
     stack: ExitStack,
     *,
     plant: str = SERVO,
+    transport: str = TRANSPORTS[0],
 ) -> Transport:
     """Return the transport for a port, locked for us; ``virtual`` starts a bus on a pty.
 
@@ -67,12 +72,16 @@ def connect(
         clock: Gives the time and waits.
         stack: What must be closed goes on it.
         plant: What moves behind a virtual port, one of :data:`~bridge.virtual.plant.PLANTS`.
+        transport: Client that speaks to the servos, one of :data:`TRANSPORTS`.
 
     Raises:
         PortLost: The port is taken, or there are no pseudo-terminals.
-        SpecError: The bus does not speak Protocol 2.0, or the plant is none for the robot.
+        SpecError: The bus does not speak Protocol 2.0, the plant is none for the robot, or the
+            transport is unknown or not installed.
     """
     spec = robot.buses[bus]
+    if transport not in TRANSPORTS:
+        raise SpecError(f"transport '{transport}'", allowed=", ".join(TRANSPORTS))
     if port == VIRTUAL:
         port = stack.enter_context(virtual_port(robot, bus, plant))
     else:
@@ -81,4 +90,6 @@ def connect(
         raise SpecError(
             f"protocol {spec.protocol}", where=f"{robot.name}: bus.{bus}", allowed="2.0"
         )
+    if transport == "rustypot":
+        return RustypotTransport(port, spec.baud, clock=clock)
     return SdkTransport(port, spec.baud, clock=clock)

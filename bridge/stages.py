@@ -43,6 +43,8 @@ GENERATORS = ("choreographer", "intergen")
 CONTROLLERS = ("ilqr", "mppi", "assist")
 PLANTS = ("servo", "mujoco", "instant")
 """What virtual servos move: as in :data:`bridge.virtual.plant.PLANTS`, the default first."""
+TRANSPORTS = ("sdk", "rustypot")
+"""Clients of the servo wire: as in :data:`bridge.ports.TRANSPORTS`, the default first."""
 MOTION = "motion.npz"
 ROLLOUT = "rollout.npz"
 TRACKING = "track.json"
@@ -236,6 +238,7 @@ def play(
     robots: tuple[str | None, str | None] = (None, None),
     ports: tuple[str, str] = ("virtual", "virtual"),
     plant: str = PLANTS[0],
+    transport: str = TRANSPORTS[0],
     settings: PlayerSettings | None = None,
     arm: bool = False,
     force: bool = False,
@@ -254,6 +257,7 @@ def play(
         robots: Folder or name per robot; ``None``: the built-in robot the trajectory names.
         ports: ``virtual``, or a serial port.
         plant: What moves behind virtual ports, one of :data:`PLANTS`.
+        transport: Client that speaks to the servos, one of :data:`TRANSPORTS`.
         settings: How to play.
         arm: Real servos may move.
         force: Play what the report refuses, on virtual ports.
@@ -266,7 +270,8 @@ def play(
     Raises:
         GateRefused: The report refuses it or speaks of another motion, or a trajectory was changed.
         LimitViolation: A trajectory leaves its robot's limits.
-        SpecError: There is no such plant, or a port is not virtual and has none.
+        SpecError: There is no such plant, or a port is not virtual and has none; the transport is
+            unknown or not installed.
         BusError: A servo bus failed.
     """
     from bridge import player
@@ -292,7 +297,7 @@ def play(
         telemetry=telemetry,
         on_progress=lambda state, share: progress(share) if state == "PLAY" else None,
         stop=stop,
-        connector=partial(connect, plant=plant),
+        connector=partial(connect, plant=plant, transport=transport),
     )
 
 

@@ -29,6 +29,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="'virtual' (default), or the serial ports of a and b",
     )
     add_plant(parser)
+    parser.add_argument(
+        "--transport",
+        choices=stages.TRANSPORTS,
+        default=stages.TRANSPORTS[0],
+        help="who speaks to the servos: the maker's client (sdk, the default), or rustypot, which"
+        " takes less of the processor and is installed on its own",
+    )
     parser.add_argument("--arm", action="store_true", help="allow real servos to move")
     parser.add_argument(
         "--force", action="store_true", help="play what the report refuses; virtual ports alone"
@@ -69,6 +76,7 @@ def execute(args: argparse.Namespace, console: Console) -> int:
             robots=(args.robot_a, args.robot_b),
             ports=(ports[0], ports[1]),
             plant=args.plant,
+            transport=args.transport,
             settings=PlayerSettings(speed=args.speed, rate=args.rate, dry_run=args.dry_run),
             arm=args.arm,
             force=args.force,
