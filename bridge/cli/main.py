@@ -15,6 +15,7 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 PACKAGES = ("robots", "generator", "sim", "bridge")
 
@@ -25,13 +26,18 @@ VERBS = {
     "score": "rollout or motion to report.json: is it plausible?",
     "retarget": "motion to trajectory-a.npz and trajectory-b.npz for servo robots",
     "play": "trajectories to servos, virtual or real",
+    "replay": "telemetry to a summary and a picture of goal, present, lag, current, temperature",
     "bus": "serve a virtual Dynamixel bus on a pseudo-terminal",
     "view": "look at a motion, rollout or trajectories in the browser",
     "export": "motion, rollout or trajectories to BVH, CSV, NPZ, MP4, PNG or HTML",
     "robots": "list, show and check the servo robots",
     "train": "configuration and clips to a model that turns sentences into motion",
     "evaluate": "model to a table of figures against real motions, those first",
-    "doctor": "check this machine: packages, OpenGL, serial ports",
+    "scan": "find the servos on a bus: ids, bit rates, models, clashes",
+    "setup-id": "give the one servo on a bus its id and bit rate, or restore a backup",
+    "calibrate": "measure zero and reach of each joint of one unit by hand, or verify them",
+    "jog": "move one joint by keys, in small steps",
+    "doctor": "check this machine: packages, OpenGL, serial ports; the bit rate of a robot's bus",
 }
 """Verb to one line of help; each verb is a module of this package, loaded when it is called."""
 
@@ -51,6 +57,10 @@ def intruder() -> str | None:
     return None
 
 
+def _module(verb: str) -> ModuleType:
+    return import_module(f"bridge.cli.{verb.replace('-', '_')}")
+
+
 def build_parser(verb: str | None) -> argparse.ArgumentParser:
     """Return the parser; only the chosen verb's own arguments are filled in."""
     from importlib.metadata import PackageNotFoundError, version
@@ -67,7 +77,7 @@ def build_parser(verb: str | None) -> argparse.ArgumentParser:
     for name, line in VERBS.items():
         sub = verbs.add_parser(name, help=line, description=line[0].upper() + line[1:] + ".")
         if name == verb:
-            import_module(f"bridge.cli.{name}").add_arguments(sub)
+            _module(name).add_arguments(sub)
             sub.add_argument(
                 "--json", action="store_true", help="one JSON object on standard output"
             )
@@ -105,7 +115,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     console = Console(json=args.json)
     try:
-        return import_module(f"bridge.cli.{args.verb}").execute(args, console)
+        return _module(args.verb).execute(args, console)
     except DuetError as error:
         console.error(error)
         return error.exit_code

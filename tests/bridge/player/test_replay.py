@@ -12,7 +12,7 @@ import pytest
 from bridge.player.canvas import Canvas
 from bridge.player.plot import plot
 from bridge.player.replay import BROKEN_OFF, replay
-from bridge.player.telemetry import SCHEMA, read_telemetry
+from bridge.player.telemetry import SCHEMA
 from robots.errors import MotionFileError
 
 JOINTS = ("one", "two")
@@ -184,8 +184,3 @@ def test_every_letter_a_label_may_need_has_its_dots():
         box.text(0, 0, "\x00")
         assert (canvas.pixels != box.pixels).any(), character
         assert (canvas.pixels != 255).any(), character
-
-
-def test_reading_lines_is_the_same_reader(tmp_path):
-    path = record(tmp_path / "t.jsonl")
-    assert read_telemetry(path)[0]["schema"] == SCHEMA
