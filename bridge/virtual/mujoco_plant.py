@@ -24,8 +24,8 @@ Present Current shows 0.19 / 4.1 = 4.6 % of the stall current.
 model gives it, upright, as on a gantry: the goals of a dance keep nobody on their feet. Two robots
 on two buses do not feel each other. With torque off a joint keeps the damping and friction of its
 model and sinks. A joint whose armature is less than that of the servo's rotor (as the motor's time
-constant has it) gets the latter. The clock of the body starts with the first packet, and of a
-silence longer than :data:`LONGEST` only the last part is simulated.
+constant has it) gets the latter. The clock of the body starts with the first packet, however late
+that comes.
 """
 
 from __future__ import annotations
@@ -47,8 +47,6 @@ from robots.spec import RobotSpec, ServoSpec
 
 SUBSTEPS = 2
 """Steps of MuJoCo in a step of the servos: 1 kHz."""
-LONGEST = 1.0
-"""Longest time that is simulated at once, s: the first answer after a silence comes soon."""
 TURN = 2 * math.pi
 
 
@@ -120,11 +118,10 @@ class MujocoPlant:
             SimDiverged: The body's equations have no finite solution any more.
         """
         steps = int((now - self._time) / STEP + 1e-9)
-        idle = steps if not self._started else steps - round(LONGEST / STEP)
-        self._started = True
-        if idle > 0:
-            self._rest(idle, now)
-            steps -= idle
+        if not self._started:
+            self._started = True
+            self._time += steps * STEP
+            steps = 0
         for _ in range(steps):
             self._time += STEP
             for servo in self._servos:
@@ -137,13 +134,6 @@ class MujocoPlant:
     def _between(self, now: float) -> float:
         """Return a time behind the last point of the grid, where rounding cannot add a step."""
         return min(now, self._time + STEP / 2)
-
-    def _rest(self, steps: int, now: float) -> None:
-        """Let the servos' clocks run while the body stands."""
-        self._time += steps * STEP
-        for servo, motor in zip(self._servos, self._motors, strict=True):
-            motor.velocity = 0.0
-            servo.advance(self._between(now))
 
     def _step(self) -> None:
         """Move the body by one step of the servos, and the horns with it."""

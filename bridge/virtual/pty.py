@@ -34,6 +34,9 @@ due: as a USB adapter does with its frames."""
 WAKE = 0.00006
 """The operating system wakes a sleeper up to this late, s: the last moment before an answer is due
 is waited out awake."""
+IDLE = 0.05
+"""Longest silence, s, after which a body that hangs on the bus moves on: it must not have to catch
+up when the next packet comes."""
 
 
 class PtyServer:
@@ -102,7 +105,7 @@ class PtyServer:
         """Serve until :meth:`stop` is called from another thread or a signal handler."""
         while True:
             # select, not poll: its timeout is not rounded up to milliseconds.
-            wait = None
+            wait = IDLE if self.bus.plant is not None and self.bus.instructions else None
             if self._due:
                 wait = max(0.0, self._handed_over() - WAKE - time.monotonic())
             ready, _, _ = select.select((self._master, self._stop_read), (), (), wait)
@@ -117,6 +120,8 @@ class PtyServer:
                 self._receive(now)
             elif self._due and now < self._handed_over():
                 continue
+            elif not self._due:
+                self.bus.advance(now)
             self._send(time.monotonic())
 
     def stop(self) -> None:
