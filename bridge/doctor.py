@@ -1,19 +1,25 @@
-"""Is this machine fit? Packages, offscreen OpenGL, pseudo-terminals and serial adapters."""
+"""Is this machine fit? Packages, offscreen OpenGL, pseudo-terminals, adapters and servo buses."""
 
 from __future__ import annotations
 
 import os
 import platform
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Literal
 
+from bridge.setup.budget import budgets
+from bridge.setup.scan import Scan, mismatches
 from robots.errors import DuetError
+from robots.spec import RobotSpec
 
 Status = Literal["ok", "note", "fail"]
+
+BUSY = 0.8
+"""Share of a wire's time beyond which hardly any is left for adapters and the computer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,11 +36,56 @@ class Finding:
     """What to do about it."""
 
 
+def examine_buses(robot: RobotSpec, rate: float | None = None) -> list[Finding]:
+    """Say what the wires of a robot's buses allow, against a rate in Hz (default: its own cycle).
+
+    Raises:
+        SpecError: There is no control table for a servo's model.
+    """
+    wanted = 1e3 / robot.cycle_ms if rate is None else rate
+    findings: list[Finding] = []
+    for budget in budgets(robot):
+        detail = (
+            f"{budget.servos} servos at {budget.baud} bit/s: at most {budget.plain:.0f} Hz"
+            + (f", {budget.fast:.0f} Hz with fast reads" if budget.fast is not None else "")
+            + f" ({budget.factory:.0f} Hz with the return delay of new servos, which play clears)"
+            + f"; {wanted:.0f} Hz wanted"
+        )
+        name = f"{robot.name}: bus {budget.bus}"
+        if budget.best < wanted:
+            hint = "raise the servos' bit rate (pasdedeux setup-id), or use two buses"
+            findings.append(Finding(name, "fail", detail, hint))
+        elif budget.best < wanted / BUSY:
+            hint = "little room is left for a slow adapter: raise the servos' bit rate"
+            findings.append(Finding(name, "note", detail, hint))
+        else:
+            findings.append(Finding(name, "ok", detail))
+    return findings
+
+
+def examine_servos(robot: RobotSpec, bus: str, found: Scan) -> list[Finding]:
+    """Say what a scan found on a bus: who is missing or wrong, and what slows it down."""
+    wrong = mismatches(found, robot, bus)
+    name = f"{found.port}"
+    hint = "" if not wrong else "correct the ids (pasdedeux setup-id) or robot.toml"
+    findings = [Finding(name, "fail", line, hint) for line in wrong]
+    if not wrong:
+        findings.append(Finding(name, "ok", f"all {len(found.servos)} servos of {robot.name}"))
+    for servo in found.servos:
+        for note in servo.notes:
+            status: Status = "fail" if servo.clash or "error" in note else "note"
+            findings.append(Finding(f"servo {servo.id}", status, note))
+    if found.echo:
+        findings.append(Finding(name, "fail", "hears what it sends", "use a half-duplex adapter"))
+    return findings
+
+
 def examine() -> list[Finding]:
     """Look at everything and return the findings; takes about a second."""
     looks: tuple[Callable[[], Iterator[Finding]], ...] = (
         _python,
         _packages,
+        _mujoco,
         _encoder,
         _opengl,
         _virtual_bus,
@@ -77,6 +128,33 @@ def _packages() -> Iterator[Finding]:
             yield Finding(
                 name, "note", "not installed (optional)", f"pip install 'pasdedeux[{extra}]'"
             )
+
+
+def _mujoco() -> Iterator[Finding]:
+    """MuJoCo 4 comes in parts that overwrite MuJoCo 3 in place, and stay behind when it goes."""
+    found: dict[str, str] = {}
+    for name in ("mujoco", "mujoco-core", "mujoco-studio"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    yield from mujoco_mixture(found)
+
+
+def mujoco_mixture(found: Mapping[str, str]) -> Iterator[Finding]:
+    """Judge the versions of MuJoCo's packages, by name; those that are installed."""
+    again = "pip uninstall -y mujoco mujoco-core mujoco-studio && pip install -e ."
+    core = found.get("mujoco-core")
+    if "4.0.0" in found.values():
+        detail = "4.0.0: its sparse factorisation is wrong, as its maker says"
+        yield Finding("MuJoCo's parts", "fail", detail, again)
+    elif core is None:
+        yield Finding("MuJoCo's parts", "ok", "one package")
+    elif len(set(found.values())) > 1:
+        parts = ", ".join(f"{name} {number}" for name, number in found.items())
+        yield Finding("MuJoCo's parts", "fail", f"of several versions: {parts}", again)
+    else:
+        yield Finding("MuJoCo's parts", "ok", f"all of version {core}")
 
 
 def _encoder() -> Iterator[Finding]:

@@ -14,7 +14,7 @@ Colour = tuple[int, int, int]
 Box = tuple[int, int, int, int]
 """Left, top, width, height in pixels."""
 WHITE, BLACK, GREY, PALE = (255, 255, 255), (30, 30, 30), (150, 150, 150), (225, 225, 225)
-RED, BLUE = (205, 40, 40), (30, 90, 200)
+RED, BLUE, ORANGE = (205, 40, 40), (30, 90, 200), (240, 130, 20)
 PALETTE: tuple[Colour, ...] = (
     *(BLUE, (220, 120, 20), (20, 140, 70), (140, 60, 170), (0, 150, 170)),
     *((170, 110, 60), (220, 90, 150), (110, 110, 20), (90, 90, 120), RED),

@@ -8,7 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from bridge.player.canvas import BLACK, BLUE, GREY, PALE, PALETTE, RED, Box, Canvas, Colour
+from bridge.player.canvas import (
+    BLACK,
+    BLUE,
+    GREY,
+    ORANGE,
+    PALE,
+    PALETTE,
+    RED,
+    Box,
+    Canvas,
+    Colour,
+)
 from bridge.player.replay import Replay, Track
 from robots.skeleton import FloatArray
 from sim.video import write_picture
@@ -27,7 +38,7 @@ Curve = tuple[FloatArray, FloatArray, Colour]
 def plot(told: Replay, path: str | Path) -> None:
     """Write a PNG: a column per robot, a strip per joint, then lag, current and temperature.
 
-    Goals are grey, positions blue; upright lines are changes of state, red ones faults.
+    Goals are orange, positions blue; upright lines are changes of state, red ones faults.
 
     Raises:
         MotionFileError: The file cannot be written.
@@ -54,11 +65,11 @@ def _column(canvas: Canvas, left: int, track: Track, told: Replay, below: int) -
     for index, name in enumerate(track.joints):
         box = (left + LEFT, HEAD + index * STRIP, COLUMN - LEFT - RIGHT, STRIP - 4)
         goal, present = np.degrees(track.goal[:, index]), np.degrees(track.present[:, index])
-        curves = [(track.times, goal, GREY), (track.times, present, BLUE)]
+        curves = [(track.times, goal, ORANGE), (track.times, present, BLUE)]
         low, high = _bounds(curves, math.degrees(LEAST_SPAN))
         _panel(canvas, box, span, (low, high), curves, told)
         canvas.text(left + 10, box[1] + 2, name[:13])
-        canvas.text(left + 10, box[1] + 22, f"{low:.0f} to {high:.0f}°", GREY)
+        canvas.text(left + 10, box[1] + 22, f"{round(low)} to {round(high)}°", GREY)
     for row, (title, curves, least) in enumerate(_panels(track)):
         box = (left + LEFT, below + row * (PANEL + GAP), COLUMN - LEFT - RIGHT, PANEL)
         low, high = _bounds(curves, least)
