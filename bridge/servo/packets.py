@@ -22,9 +22,10 @@ from __future__ import annotations
 from array import array
 from dataclasses import dataclass
 from functools import cache
-from struct import unpack_from
+from struct import Struct
 
 import numpy as np
+from numpy.typing import NDArray
 
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE
@@ -67,7 +68,11 @@ def _byte_table() -> tuple[int, ...]:
     return tuple(table)
 
 
-_SINGLE = _byte_table()
+_BYTES = _byte_table()
+LONG = 128
+"""Bytes from which on the CRC is summed up by numpy instead of word by word."""
+_WORDS_OF = tuple(Struct(f">{count}H").unpack_from for count in range(MAX_PACKET // 2 + 1))
+"""Take so many big-endian words out of bytes."""
 
 
 @cache
@@ -77,20 +82,45 @@ def _word_table() -> array[int]:
     A CRC is linear and this one has 16 bits: two bytes of data enter it by exclusive or, and what
     follows is the table. Half as many steps as with the usual table of single bytes.
     """
-    single = np.array(_SINGLE, np.uint16)
+    single = np.array(_BYTES, np.uint16)
     crc = np.arange(65536, dtype=np.uint16)
     for _ in range(2):
         crc = np.left_shift(crc, np.uint16(8)) ^ single[crc >> 8]
     return array("H", crc.tolist())
 
 
+_DISTANCE = 256 * np.arange(MAX_PACKET - 1, -1, -1, dtype=np.int64)
+
+
+@cache
+def _contributions() -> NDArray[np.uint16]:
+    """Return what a byte adds to the CRC, by 256 times its distance from the end plus its value.
+
+    By the same linearity, the CRC of a message is the exclusive or of those of its single bytes,
+    each followed by as many zeros as there are bytes behind it.
+    """
+    table = np.array(_BYTES, np.uint16)
+    rows: list[NDArray[np.uint16]] = [table]
+    for _ in range(MAX_PACKET - 1):
+        last = rows[-1]
+        rows.append(np.left_shift(last, np.uint16(8)) ^ table[last >> 8])
+    return np.concatenate(rows)
+
+
 def crc16(data: bytes | bytearray | memoryview, crc: int = 0) -> int:
     """Return the CRC-16 (polynomial 0x8005, start ``crc``, not reflected) of ``data``."""
-    words, odd = divmod(len(data), 2)
-    if odd:
-        crc = ((crc << 8) & 0xFFFF) ^ _SINGLE[(crc >> 8) ^ data[0]]
+    count = len(data)
+    if LONG <= count <= MAX_PACKET:
+        index = np.frombuffer(data, np.uint8) + _DISTANCE[-count:]
+        index[0] ^= crc >> 8
+        index[1] ^= crc & 0xFF
+        return int(np.bitwise_xor.reduce(_contributions()[index]))
+    if count > MAX_PACKET:
+        return crc16(data[MAX_PACKET:], crc16(data[:MAX_PACKET], crc))
+    if count & 1:
+        crc = ((crc << 8) & 0xFFFF) ^ _BYTES[(crc >> 8) ^ data[0]]
     table = _word_table()
-    for word in unpack_from(f">{words}H", data, odd):
+    for word in _WORDS_OF[count >> 1](data, count & 1):
         crc = table[crc ^ word]
     return crc
 

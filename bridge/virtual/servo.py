@@ -96,6 +96,8 @@ class VirtualServo:
         self._fast_block = (last - 10, last)
         self._goal, self._error_at = table["goal_position"], table["hardware_error_status"].address
         self._level_at = table["status_return_level"].address
+        self._firmware_at = table["firmware_version"].address
+        self._fast_from = table.fast_read_firmware or 256  # which no firmware reaches
         self._delay_at = table["return_delay_time"].address
         self._power_up()
 
@@ -113,9 +115,7 @@ class VirtualServo:
     @property
     def reads_fast(self) -> bool:
         """Whether it takes part in fast reads: by its firmware and Status Return Level."""
-        first = self.table.fast_read_firmware
-        new = first is not None and self.memory.get("firmware_version") >= first
-        return new and self.return_level >= 1
+        return self.memory.cells[self._firmware_at] >= self._fast_from and self.return_level >= 1
 
     @property
     def return_level(self) -> int:
@@ -365,8 +365,8 @@ class VirtualServo:
     def _publish(self) -> None:
         """Write the state into the registers that show it."""
         motor, memory = self.motor, self.memory
-        speed = self._publish_motion()
-        sign = self._sign
+        self._publish_motion()
+        speed, sign = memory.get("present_velocity"), self._sign
         error = memory.get("goal_position") - memory.get("present_position")
         moving = abs(speed) > memory.get("moving_threshold")
         arrived = abs(error) <= 4
@@ -381,20 +381,18 @@ class VirtualServo:
         memory.set("position_trajectory", self._ticks(self.profile.position))
         memory.set("realtime_tick", int(self._time * 1e3) % 32768)
 
-    def _publish_motion(self) -> int:
-        """Write current or load, velocity and position; return the velocity's count."""
+    def _publish_motion(self) -> None:
+        """Write current or load, velocity and position."""
         motor, memory, table, sign = self.motor, self.memory, self.table, self._sign
         state = (motor.angle, motor.velocity, motor.current)
         if state == self._shown:
-            return memory.get("present_velocity")
+            return
         self._shown = state
-        speed = round(sign * motor.velocity / VELOCITY_UNIT)
         memory.set("present_position", self._ticks(motor.angle))
-        memory.set("present_velocity", speed)
+        memory.set("present_velocity", round(sign * motor.velocity / VELOCITY_UNIT))
         if table.current_unit is not None:
             counts = sign * motor.current * table.stall_current / table.current_unit
             memory.set("present_current", max(-32768, min(32767, round(counts))))
         else:
             load = sign * motor.current * 1000
             memory.set("present_load", max(-1000, min(1000, round(load))))
-        return speed
