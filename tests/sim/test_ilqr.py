@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import mujoco
@@ -11,12 +12,13 @@ import pytest
 from generator.choreographer import choreograph
 from generator.motion import Contact, DuetMotion
 from robots.errors import SpecError
-from sim.controllers.ilqr.controller import IlqrController
+from sim.controllers.ilqr.controller import IlqrController, _Run
 from sim.controllers.ilqr.cost import TrackingCost
 from sim.controllers.ilqr.knots import KnotDerivatives, Path
 from sim.controllers.ilqr.person import person_model
 from sim.controllers.ilqr.settings import IlqrSettings, Weights
 from sim.controllers.ilqr.touch import RAMP, body_point, find_touches
+from sim.disturbance import NONE
 from sim.reference import Reference, make_reference
 from sim.scene import AssistLimits, Scene, build_scene
 from sim.simulation import reference_qvel
@@ -120,6 +122,22 @@ def test_a_fall_that_nothing_saves_ends_the_run_and_says_when(scene, reference, 
     trace = IlqrController(settings=IlqrSettings(recovery=0, horizon=0.2)).run(scene, reference)
     assert len(trace.qpos) < len(reference.root)
     assert "fell at" in trace.facts["ended"]["why"]
+
+
+def test_what_planners_keep_does_not_grow_with_the_clip(scene, reference):
+    settings = IlqrSettings(horizon=0.1, replan=6, threads=1)
+    short = replace(
+        reference,
+        root=reference.root[:40],
+        rotations=reference.rotations[:40],
+        keypoints=reference.keypoints[:40],
+    )
+    with ThreadPoolExecutor(1) as pool:
+        run = _Run(settings, scene, short, NONE, pool)
+        run.to_end(None)
+    for planner in run.planners:
+        assert 0 < len(planner.cost._hessians) <= planner.horizon + 2
+        assert len(planner.derivatives._kept) <= planner.horizon
 
 
 @pytest.mark.parametrize("p", [0, 1])

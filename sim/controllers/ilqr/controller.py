@@ -43,7 +43,7 @@ _KEEP = 0.25
 _BACK, _BACK_MORE = 0.7, 0.5
 """How far to go back, s, and how much further with every failure at the same place."""
 _TRIES = 3
-"""How often the same half second is tried anew."""
+"""How often the same half second is tried anew; the third time only if the second got further."""
 _WAYPOINTS = 12
 """How many states to go back to are kept: 3 s, further than any try goes back."""
 _PAST = 0.5
@@ -202,8 +202,8 @@ class _Run:
 
     def _lost(self, distance: float) -> bool:
         """Return whether a person is further than this, m, from its goal on average."""
-        now = self.scene.keypoints(self.simulation.data.qpos[None])[0]
-        off = np.linalg.norm(now - self.goal_keypoints[self.simulation.tick], axis=-1)
+        goal = self.goal_keypoints[self.simulation.tick]
+        off = np.linalg.norm(self.simulation.keypoints() - goal, axis=-1)
         return bool((off.mean(axis=-1) > distance).any())
 
     def _keep(self) -> None:
@@ -214,10 +214,13 @@ class _Run:
     def _go_back(self) -> bool:
         """Return to before the trouble with more effort; False if that was tried often enough."""
         recovery, rate, tick = self.recovery, self.reference.rate, self.simulation.tick
+        if self.fallen is not None:
+            self._relax()  # who lies there needs no effort
+            return False
         place = int(tick / (0.5 * rate))
         again = recovery.tries.get(place, 0)
-        spent = len(recovery.events) >= self.settings.recovery or again >= _TRIES
-        if spent or self.fallen is not None:
+        stuck = again > 1 and tick / rate <= recovery.events[-1]["lost_at"]
+        if stuck or again >= _TRIES or len(recovery.events) >= self.settings.recovery:
             return False
         recovery.tries[place] = again + 1
         target = tick - (_BACK + _BACK_MORE * again) * rate

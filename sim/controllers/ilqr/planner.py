@@ -147,6 +147,7 @@ class Planner:
             partner: Where the partner will be.
         """
         self._start, self._partner = tick, partner
+        self.cost.forget(tick)
         state = np.array(qpos), np.array(qvel), np.array(warmstart)
         goals = self._goals(tick)
         path, gains = self._first(tick, state, goals)

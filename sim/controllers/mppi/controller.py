@@ -48,7 +48,7 @@ class MppiController:
         with planner(scene, reference, nominal, self.settings, self.seed) as sampler:
             while not simulation.done:
                 tick = simulation.tick
-                off = np.linalg.norm(scene.keypoints(data.qpos[None])[0] - goal[tick], axis=-1)
+                off = np.linalg.norm(simulation.keypoints() - goal[tick], axis=-1)
                 if fallen is None and (off.mean(axis=-1) > FALL_DISTANCE).any():
                     fallen = tick
                 if fallen is not None and tick >= fallen + _AFTER_FALL * reference.rate:
