@@ -68,9 +68,9 @@ class TerminalSerial(serial.Serial):
 
     def read(self, size: int = 1, /) -> bytes:
         """Return what has arrived, at most ``size`` bytes, waiting at most the timeout for it."""
-        if not select.select((self.fd,), (), (), self.timeout)[0]:
+        if not select.select((self,), (), (), self.timeout)[0]:
             return b""
-        data = os.read(self.fd, size)
+        data = os.read(self.fileno(), size)
         if not data:
             raise serial.SerialException("hung up")
         return data
@@ -85,10 +85,10 @@ class TerminalSerial(serial.Serial):
         count = len(left)
         while True:
             with contextlib.suppress(BlockingIOError):
-                left = left[os.write(self.fd, left) :]
+                left = left[os.write(self.fileno(), left) :]
             if not left:
                 return count
-            if not select.select((), (self.fd,), (), WRITE_WAIT)[1]:
+            if not select.select((), (self,), (), WRITE_WAIT)[1]:
                 raise serial.SerialTimeoutException("takes no bytes")
 
 
