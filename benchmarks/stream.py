@@ -13,8 +13,12 @@ is what the bytes of a cycle need at ten bits each.
   how late a tick begins, skew how long after the first bus the second has its command; a tick that
   is still running when the next should begin makes that one be dropped.
 
-On a computer without idle cores the shares are those of the scheduler. The CPU time per cycle,
-printed beside, hardly depends on what else is running.
+- *Unhurried*: our client and the bus in one process, in virtual time. What a cycle costs each of
+  them in CPU time, as share of the time its bytes need on the wire; below 100 % for both, nothing
+  but the operating system keeps them from the limit.
+
+On a computer without idle cores the first two show the scheduler. The last hardly depends on what
+else is running.
 """
 
 from __future__ import annotations
@@ -38,14 +42,18 @@ import numpy as np
 
 from benchmarks.stream_clients import GOAL, MAKERS, TABLE, Client, Ours, Run
 from bridge.servo.bus import STREAM_LENGTH
-from bridge.servo.clock import MonotonicClock
+from bridge.servo.clock import MonotonicClock, VirtualClock
 from bridge.servo.packets import FAST_OVERHEAD
 from bridge.servo.registers import BAUD_RATES
-from bridge.virtual import PtyServer, VirtualBus, VirtualServo
+from bridge.servo.sdk_transport import SdkTransport
+from bridge.servo.serial_port import READ_WAIT
+from bridge.virtual import PtyServer, VirtualBus, VirtualSerial, VirtualServo
 
 STATUS_BYTES, INSTRUCTION_BYTES, FAST_HEAD = 11, 14, 8
 """Bytes of a packet beside its data: status, sync instruction, head of a fast read's answer."""
 PACKAGES = {"rustypot": "rustypot", "dynamixel-sdk": "dynamixel_sdk"}
+ROUNDS, CYCLES = 5, 100
+"""Of an unhurried run: the cheapest round counts, the others shared the core's caches."""
 TARGETS = {(1_000_000, True): 0.93, (4_000_000, True): 0.88}
 """Share of the limit that our client should reach, by rate and whether reads are fast."""
 
@@ -63,14 +71,20 @@ def wire_limit(servos: int, baud: int, *, fast: bool) -> float:
 # -- the other end --------------------------------------------------------------------------------
 
 
-def serve(servos: int, baud: int) -> None:
-    """Serve a bus until standard input closes; tell the CPU time, s, for every line read."""
+def bus_of(servos: int, baud: int) -> VirtualBus:
+    """Return a bus with servos that answer at once and follow their goals."""
     bus = VirtualBus(
         VirtualServo(TABLE, k + 1, baud_index=BAUD_RATES.index(baud)) for k in range(servos)
     )
     for servo in bus.servos:
         servo.memory.set("return_delay_time", 0)
         servo.write(TABLE["torque_enable"].address, b"\x01")
+    return bus
+
+
+def serve(servos: int, baud: int) -> None:
+    """Serve a bus until standard input closes; tell the CPU time, s, for every line read."""
+    bus = bus_of(servos, baud)
     gc.freeze()
     with PtyServer(bus, timing=True) as server:
         print(server.port, flush=True)
@@ -209,6 +223,52 @@ def pace(clients: list[Client], run: Run) -> dict[str, Any]:
     }
 
 
+class TimedSerial(VirtualSerial):
+    """A virtual port that keeps account of the CPU time behind it."""
+
+    spent = 0.0
+    """s."""
+
+    def write(self, data: bytes | bytearray | list[int]) -> int:
+        """Send bytes."""
+        begin = time.process_time()
+        try:
+            return super().write(data)
+        finally:
+            self.spent += time.process_time() - begin
+
+
+def unhurried(run: Run) -> dict[str, Any]:
+    """Return what a cycle costs our client and the bus, both in this process."""
+    clock = VirtualClock()
+    bus = bus_of(run.servos, run.baud)
+    bus.baud = run.baud
+    port = TimedSerial(bus, clock, baudrate=run.baud, timeout=READ_WAIT)
+    transport = SdkTransport("virtual", run.baud, opener=lambda *_: port, clock=clock)
+    client = Ours("virtual", run, transport)
+    costs: list[tuple[float, float]] = []
+    start, missed = clock.now(), 0
+    for first in range(0, ROUNDS * CYCLES, CYCLES):
+        behind, used = port.spent, time.process_time()
+        for step in range(first, first + CYCLES):
+            client.begin(step)
+            missed += client.end()
+        behind, used = port.spent - behind, time.process_time() - used
+        costs.append(((used - behind) / CYCLES, behind / CYCLES))
+    ours, theirs = (min(cost) for cost in zip(*costs, strict=True))
+    limit = wire_limit(run.servos, run.baud, fast=run.fast)
+    return {
+        **asdict(run),
+        "share": ROUNDS * CYCLES / (clock.now() - start) / limit,
+        "wire_limit_hz": limit,
+        "client_us": 1e6 * ours,
+        "client_share": ours * limit,
+        "server_us": 1e6 * theirs,
+        "server_share": theirs * limit,
+        "missed": missed,
+    }
+
+
 # -- running and telling --------------------------------------------------------------------------
 
 
@@ -225,6 +285,13 @@ def describe(row: dict[str, Any]) -> str:
     """Return the line of one run."""
     read = "fast " if row["fast"] else "plain"
     head = f"{row['baud'] // 1_000_000} Mbit/s {read} {row['buses']} bus {row['client']:13s}"
+    if not row["seconds"]:
+        return (
+            f"{head} unhurried: {100 * row['share']:5.1f} % of {row['wire_limit_hz']:.0f} Hz;"
+            f" client {row['client_us']:4.0f} us/cycle, {100 * row['client_share']:.0f} % of the"
+            f" wire's; virtual bus {row['server_us']:4.0f} us/cycle,"
+            f" {100 * row['server_share']:.0f} %; {row['missed']} missed"
+        )
     cost = (
         f"client {row['client_us']:4.0f} us/cycle, {row['client_cores_per_bus']:.2f} core/bus;"
         f" virtual bus {row['server_us']:4.0f} us/cycle; {row['missed']} missed"
@@ -258,7 +325,13 @@ def runs_of(args: argparse.Namespace) -> list[Run]:
         for baud in args.baud
         if args.paced > 0 and "pasdedeux" in names
     ]
-    return saturated + paced
+    costs = [
+        Run("pasdedeux", 1, baud, fast, args.servos, 0.0)
+        for baud in args.baud
+        for fast in (False, True)
+        if "pasdedeux" in names
+    ]
+    return costs + saturated + paced
 
 
 def main() -> None:
@@ -279,7 +352,8 @@ def main() -> None:
         serve(*args.serve)
         return
     if args.run:
-        print(json.dumps(measure(Run(**json.loads(args.run)))))
+        run = Run(**json.loads(args.run))
+        print(json.dumps(measure(run) if run.seconds else unhurried(run)))
         return
     rows: list[dict[str, Any]] = []
     for run in runs_of(args):

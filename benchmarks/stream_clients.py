@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from bridge.servo.bus import STREAM_LENGTH, ServoBus
 from bridge.servo.registers import control_table
 from bridge.servo.sdk_transport import SdkTransport
+from bridge.servo.transport import Transport
 from robots.registry import load_robot
 from robots.spec import JointSpec
 
@@ -40,6 +41,7 @@ class Run:
     servos: int
     """On each bus."""
     seconds: float
+    """0 for a fixed number of cycles in virtual time."""
     rate: float = 0.0
     """Hz; 0 for as fast as it goes."""
 
@@ -65,10 +67,10 @@ def ticks_of(servos: int) -> NDArray[np.int64]:
 class Ours:
     """A :class:`~bridge.servo.bus.ServoBus`, as the player uses it."""
 
-    def __init__(self, port: str, run: Run) -> None:
-        """Open the port."""
-        joints = joints_of(run.servos)
-        self.bus = ServoBus(joints, SdkTransport(port, run.baud, patience=PATIENCE), fast=run.fast)
+    def __init__(self, port: str, run: Run, transport: Transport | None = None) -> None:
+        """Open the port, or another transport."""
+        transport = transport or SdkTransport(port, run.baud, patience=PATIENCE)
+        self.bus = ServoBus(joints_of(run.servos), transport, fast=run.fast)
         self.bus.open()
         self.bus.identify()
         self.bus.configure()

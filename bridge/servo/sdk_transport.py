@@ -269,7 +269,9 @@ class SdkTransport:
             if not data and device.isPacketTimeout():
                 self._drain(STREAM_QUIET)
                 break
-            data = device.readPort(missing * asked.size // len(asked.ids))
+            # No more than what must come: waiting for bytes that do not costs the port's timeout.
+            lacking = missing * asked.size // len(asked.ids) - parser.pending
+            data = device.readPort(max(1, lacking))
         return asked.collected(parts)
 
     def _end_chain(self, device: _Port, asked: SyncReadPacket, received: bytearray) -> SyncAnswer:

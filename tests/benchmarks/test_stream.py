@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
-from benchmarks.stream import wire_limit
-from benchmarks.stream_clients import GOAL, STREAM
+from benchmarks.stream import unhurried, wire_limit
+from benchmarks.stream_clients import GOAL, STREAM, Run
 from bridge.servo import packets
 
 
@@ -27,6 +27,15 @@ def test_the_limit_counts_the_bytes_of_real_packets(fast):
         answers = [packets.status(k, 0, bytes(length)) for k in ids]
     size = len(sent) + len(asked) + sum(map(len, answers))
     assert wire_limit(20, 1_000_000, fast=fast) == pytest.approx(1e6 / (10 * size))
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_our_client_leaves_no_time_of_the_wire_unused(fast):
+    """A stuffed answer is a byte longer than planned; waiting for 21 more once cost 5 ms each."""
+    run = Run("pasdedeux", 1, 4_000_000, fast, servos=20, seconds=0.0)
+    row = unhurried(run)
+    assert row["missed"] == 0
+    assert 0.995 < row["share"] < 1 + 1e-9
 
 
 @pytest.mark.slow
