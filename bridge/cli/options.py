@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING
 
 from bridge.sources import MotionRequest
 from bridge.stages import CONTROLLERS, GENERATORS, PLANTS
+from robots.errors import SpecError
 
 if TYPE_CHECKING:
     from generator.intergen import IntergenRequest
     from sim.track import TrackSettings
 
 DEFAULT_ROBOT = "op3"
+QUALITIES = ("preview", "normal", "high")
+"""What ``--quality`` may say: the keys of ``sim.controllers.ilqr.settings.QUALITIES``."""
 
 
 def add_seed(parser: argparse.ArgumentParser) -> None:
@@ -132,6 +135,11 @@ def add_tracking(parser: argparse.ArgumentParser) -> None:
         " helping hand at the pelvis (assist: in real time)",
     )
     parser.add_argument(
+        "--quality",
+        choices=QUALITIES,
+        help="how thoroughly ilqr plans (default normal)",
+    )
+    parser.add_argument(
         "--assist",
         type=float,
         metavar="BODYWEIGHTS",
@@ -173,6 +181,7 @@ def track_settings(args: argparse.Namespace) -> TrackSettings:
     Raises:
         SpecError: A value makes no sense.
     """
+    from sim.controllers.ilqr.settings import QUALITIES as PLANNING
     from sim.disturbance import Disturbance, parse_payload, parse_push
     from sim.scene import AssistLimits
     from sim.track import TrackSettings
@@ -190,8 +199,15 @@ def track_settings(args: argparse.Namespace) -> TrackSettings:
     if args.assist is not None:
         share = AssistLimits().max_torque / AssistLimits().max_force
         assist = AssistLimits(max_force=args.assist, max_torque=share * args.assist)
+    controller = args.controller or TrackSettings().controller
+    if args.quality is not None and controller != "ilqr":
+        raise SpecError(
+            f"--quality {args.quality} with --controller {controller}",
+            allowed="--quality with --controller ilqr, which plans",
+        )
     return TrackSettings(
-        controller=args.controller or TrackSettings().controller,
+        controller=controller,
+        ilqr=PLANNING[args.quality or "normal"],
         assist=assist,
         self_collision=getattr(args, "self_collision", False),
         disturbance=disturbance,

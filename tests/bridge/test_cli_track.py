@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import signal
@@ -17,10 +18,11 @@ import numpy as np
 import pytest
 
 from bridge.cli import main
+from bridge.cli.options import QUALITIES, add_seed, add_tracking, track_settings
 from bridge.stages import CONTROLLERS
 from generator.choreographer import choreograph
 from generator.io import read_motion, write_motion
-from generator.motion import DuetMotion, Motion
+from generator.motion import Contact, DuetMotion, Motion
 from robots.skeleton import FloatArray
 from sim.rollout import Rollout
 
@@ -118,6 +120,7 @@ def test_what_was_simulated_is_exported_as_a_motion(
         (("--friction", "-1"), "friction"),
         (("--assist", "-1"), "body weights"),
         (("--jobs", "0"), "1 or more"),
+        (("--quality", "high"), "--controller ilqr"),
     ],
 )
 def test_options_that_make_no_sense_are_refused_before_any_work(
@@ -214,6 +217,9 @@ def test_a_clip_is_done_again_when_its_motion_or_the_settings_change(
     assert statuses() == ["tracked", "tracked"]
     write_motion(cut(wave, 10), folder / "two.npz")
     assert statuses() == ["kept", "tracked"]
+    touch = Contact("left_hand", "right_hand", 0.1, 0.2, gap=1.0)
+    write_motion(replace(cut(wave, 10), contacts=(touch,)), folder / "two.npz")
+    assert statuses() == ["kept", "tracked"]
     assert statuses("--seed", "1") == ["tracked", "tracked"]
     (tmp_path / "out" / "one" / "rollout.npz").unlink()
     assert statuses("--seed", "1") == ["tracked", "kept"]
@@ -259,6 +265,19 @@ def test_several_motions_need_a_folder_and_names_of_their_own(
     ):
         assert track(*words) == 2
         assert reason in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("quality", [None, *QUALITIES])
+def test_quality_says_how_thoroughly_plans_are_made(quality: str | None) -> None:
+    from sim.controllers.ilqr.settings import QUALITIES as PLANNING
+
+    assert set(QUALITIES) == set(PLANNING)
+    parser = argparse.ArgumentParser()
+    add_tracking(parser)
+    add_seed(parser)
+    settings = track_settings(parser.parse_args(["--quality", quality] if quality else []))
+    assert settings.controller == "ilqr"
+    assert settings.ilqr == PLANNING[quality or "normal"]
 
 
 def test_the_controllers_on_offer_are_those_of_the_simulator() -> None:
