@@ -245,6 +245,7 @@ def play(
     only: Sequence[str] | None = None,
     without: Sequence[str] = (),
     write_eeprom: bool = False,
+    calibrations: tuple[Path | None, Path | None] = (None, None),
     stop: threading.Event | None = None,
     progress: Progress = no_progress,
 ) -> Performance:
@@ -264,6 +265,7 @@ def play(
         only: Joints that play; all, if not given.
         without: Joints that do not.
         write_eeprom: Make real servos' EEPROM what the robot's file says, after a backup.
+        calibrations: Files of the units that play; ``None``: built just as designed.
         stop: Ends the performance when set.
         progress: Told the share done.
 
@@ -271,11 +273,12 @@ def play(
         GateRefused: The report refuses it or speaks of another motion, or a trajectory was changed.
         LimitViolation: A trajectory leaves its robot's limits.
         SpecError: There is no such plant, or a port is not virtual and has none; the transport is
-            unknown or not installed.
+            unknown or not installed; a calibration is of another robot.
         BusError: A servo bus failed.
     """
     from bridge import player
     from bridge.ports import VIRTUAL, connect
+    from bridge.setup.calibration import Calibration
     from bridge.trajectory import JointTrajectory
 
     if plant != PLANTS[0] and set(ports) != {VIRTUAL}:
@@ -283,9 +286,14 @@ def play(
 
     loaded = [JointTrajectory.load(path) for path in trajectories]
     named = [given or t.robot for given, t in zip(robots, loaded, strict=True)]
+    designs = load_robots(named[0], named[1])
+    units = [
+        design if path is None else Calibration.load(path).apply(design)
+        for design, path in zip(designs, calibrations, strict=True)
+    ]
     return player.play(
         loaded,
-        load_robots(named[0], named[1]),
+        units,
         gate=verdict(report, trajectories, loaded),
         ports=ports,
         settings=settings,

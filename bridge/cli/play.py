@@ -58,6 +58,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", type=float, help="ticks per second (default 60)")
     parser.add_argument("--robot-a", metavar="NAME", help="folder of a's robot, if not built in")
     parser.add_argument("--robot-b", metavar="NAME", help="folder of b's robot, if not built in")
+    parser.add_argument(
+        "--calibration-a", type=Path, metavar="FILE", help="of the unit that plays a"
+    )
+    parser.add_argument(
+        "--calibration-b", type=Path, metavar="FILE", help="of the unit that plays b"
+    )
 
 
 def execute(args: argparse.Namespace, console: Console) -> int:
@@ -83,6 +89,7 @@ def execute(args: argparse.Namespace, console: Console) -> int:
             only=args.only,
             without=args.without,
             write_eeprom=args.write_eeprom,
+            calibrations=(args.calibration_a, args.calibration_b),
             stop=stop,
             progress=progress,
         )

@@ -37,7 +37,7 @@ from robots.spec import RobotSpec
 
 BROADCAST_WAIT = 0.8
 """Silence after which nobody else answers a broadcast ping, s: each id has a slot of 3 ms."""
-WAIT = 0.020
+WAIT = 0.030
 """Silence after which one servo will not answer any more, s, beyond the time on the wire."""
 ANSWER_BYTES = 160
 """More than any single answer here is long."""
@@ -142,7 +142,10 @@ def _look(
     name = model_name(number)
     if name in model_names():
         table = control_table(name)
-        clash = clash or not _is_alone(line, device, servo_id, table, wait)
+        # Twice, with more patience: an answer that comes late looks like one too many.
+        clash = clash or not any(
+            _is_alone(line, device, servo_id, table, patience) for patience in (wait, 4 * wait)
+        )
         if not clash:
             notes = _notes(line, device, servo_id, table, wait)
     else:
@@ -160,7 +163,7 @@ def _is_alone(
             register = table[name]
             asked = _read(servo_id, register.address, register.length)
             heard = line.exchange(device, asked, wait)
-            if heard.garbled or len(heard.answers) != 1:
+            if heard.garbled or len(heard.answers) > 1:
                 return False
     return True
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import array
 import contextlib
 import errno
+import fcntl
 import heapq
 import logging
 import os
 import select
+import sys
 import termios
 import threading
 import time
@@ -26,6 +29,9 @@ _SPEEDS = {
     if name.startswith("B") and name[1:].isdigit() and name != "B0"
 }
 """bit/s by the constant that a terminal's settings carry."""
+
+_OTHER_SPEED, _TCGETS2 = 0o010000, 0x802C542A
+"""Linux: the constant of a rate that has none of its own, and the call that tells which it is."""
 
 CHUNK = 4096
 BATCH = 0.0005
@@ -172,7 +178,7 @@ class PtyServer:
                 return
             raise
         # Clients may change the rate at any time; a lookup costs a microsecond.
-        self._baud = _SPEEDS.get(termios.tcgetattr(self._master)[5])
+        self._baud = _line_speed(self._master)
         self.bus.baud = self._baud if self._timing else None
         for due, answer in self.bus.feed(now, data, baud=self._baud):
             self._count += 1
@@ -199,3 +205,15 @@ class PtyServer:
                 # The client does not read: a real line would lose these bytes too.
                 log.warning("%s: %d bytes lost, nobody reads", self.port, len(ready))
                 return
+
+
+def _line_speed(fd: int) -> int | None:
+    """Return the bit/s that a terminal is set to; ``None`` if the system does not tell."""
+    speed = termios.tcgetattr(fd)[5]
+    if speed != getattr(termios, "BOTHER", _OTHER_SPEED):
+        return _SPEEDS.get(speed)
+    if not sys.platform.startswith("linux"):
+        return None
+    settings = array.array("I", bytes(4 * 64))
+    fcntl.ioctl(fd, _TCGETS2, settings, True)
+    return settings[10]

@@ -13,7 +13,10 @@ import pytest
 
 from bridge.cli import main
 from bridge.servo.registers import BAUD_RATES, control_table
+from bridge.setup.calibration import Calibration, JointCalibration
 from bridge.virtual import PtyServer, VirtualBus, VirtualServo
+from robots.registry import load_robot
+from tests.bridge.player.stage import dance
 from tests.bridge.player.test_replay import record
 
 
@@ -108,6 +111,33 @@ def test_lerobots_calibration_goes_in_and_out(tmp_path, capsys):
     assert made["joints"]["l_elbow"]["zero"] == 2147
     assert main([*words, "--to-lerobot", str(again)]) == 0
     assert json.loads(again.read_text()) == {"l_elbow": row}
+
+
+def test_a_unit_that_cannot_reach_as_far_as_the_dance_is_refused(tmp_path, capsys):
+    paths = [str(tmp_path / f"{person}.npz") for person in "ab"]
+    for path in paths:
+        dance(load_robot("marionette")).save(path)
+    unit = tmp_path / "left.json"
+    elbow = JointCalibration(24, "XL330-M288", 2048, 1, 2048, 2446)  # to 35 degrees, not 42
+    Calibration("marionette", "left", {"l_elbow": elbow}).save(unit)
+    words = ["play", *paths, "--force", "-o", str(tmp_path / "t.jsonl")]
+    assert main([*words, "--calibration-b", str(unit)]) == 1
+    assert "marionette: l_elbow" in capsys.readouterr().err
+    Calibration("op3", "left", {}).save(unit)
+    assert main([*words, "--calibration-b", str(unit)]) == 2
+    assert "is for 'op3'" in capsys.readouterr().err
+
+
+def test_a_unit_is_verified_in_the_pose_it_stands_in(tmp_path, capsys):
+    unit = tmp_path / "left.json"
+    elbow = JointCalibration(24, "XL330-M288", 2048, 1, 1900, 3900)
+    Calibration("marionette", "left", {"l_elbow": elbow}).save(unit)
+    words = ("calibrate", str(unit), "--robot", "marionette", "--joint", "l_elbow", "--verify")
+    status, verified = result(capsys, *words, "--yes", "--home", "rest")
+    assert (status, verified["passed"]) == (0, True)
+    status, verified = result(capsys, *words, "--yes", "--home", "zero")
+    assert (status, verified["passed"]) == (1, False)
+    assert "+25." in verified["joints"][0]["problems"][0]
 
 
 def test_a_unit_that_was_not_swept_gets_no_file(tmp_path, capsys):

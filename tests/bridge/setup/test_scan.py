@@ -9,7 +9,7 @@ import pytest
 
 from bridge.setup.line import Line
 from bridge.setup.scan import mismatches, scan
-from bridge.virtual import Fault
+from bridge.virtual import Fault, PtyServer, VirtualBus
 from robots.errors import PortLost
 from robots.registry import load_robot
 from tests.bridge.setup.rig import XL330, Merging, Rig, servo
@@ -111,3 +111,13 @@ def test_an_adapter_unplugged_in_the_middle_is_said_to_be_gone():
     rig = Rig([servo(1)], Fault("unplug", start=1.3))
     with pytest.raises(PortLost, match="gone away"):
         scan(rig.line)
+
+
+def test_over_a_terminal_every_servo_is_heard_at_its_own_rate_alone(tmp_path):
+    """4.5 Mbit/s has no constant of its own: it must not be taken for no rate at all."""
+    with PtyServer(VirtualBus([servo(1), servo(2, 4_500_000)]), link=tmp_path / "p") as server:
+        found = scan(Line(server.port), [57600, 4_500_000])
+    assert [(s.id, s.baud, s.clash) for s in found.servos] == [
+        (1, 57600, False),
+        (2, 4_500_000, False),
+    ]
