@@ -249,7 +249,7 @@ def borne(rollout: Rollout) -> float:
 
 
 VARIANTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
-    {"ghost": {}, "without ghost": {"ghost": False}}
+    {"ghost": {}, "yielding ghost": {"ghost": "yielding"}, "without ghost": {"ghost": False}}
 )
 """Names of variants and the fields of ``IlqrSettings`` that make them."""
 

@@ -35,7 +35,7 @@ class TrackingCost:
             qvel: ``[N, nv]`` of the reference.
             weights: Of its parts.
         """
-        self.qpos, self.qvel = qpos, qvel
+        self.qpos, self.qvel = person.padded(qpos), person.padded(qvel)
         self._person, self._weights = person, weights
         self._data = mujoco.MjData(person.model)
         self._hessians: dict[int, FloatArray] = {}

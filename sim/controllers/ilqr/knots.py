@@ -9,7 +9,7 @@ for its tick until its state, velocity or control has moved too far, or other bo
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import mujoco
@@ -38,6 +38,8 @@ class Path:
     touching: list[int]
     """``[H]``: a number that changes when other bodies touch."""
     cost: float
+    push: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    """``[H, 2]`` N: level force on a ghost that yields."""
 
 
 Prepare = Callable[[Any, int], None]

@@ -45,6 +45,8 @@ class Forecast:
     """``[H+1, J, 3]`` m."""
     turns: FloatArray
     """``[H+1, J, 4]`` wxyz."""
+    push: FloatArray
+    """``[H+1, 2]`` N: level force on the partner; 0 unless ghosts yield."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,7 +129,16 @@ class Planner:
                 states[h] = self._plan.path.qpos[tick + h - self._plan.start]
             else:
                 states[h] = self.cost.qpos[self.cost.clip(tick + h)]
-        return Forecast(*self.person.poses(states))
+        return Forecast(*self.person.poses(states), self._push(tick))
+
+    def _push(self, tick: int) -> FloatArray:
+        """Return the planned force on the partner ``[H+1, 2]`` N from a tick on."""
+        push = np.zeros((self.horizon + 1, 2))
+        if self.person.yielding and self._plan is not None and not self.expired(tick):
+            known = self._plan.path.push[tick - self._plan.start :]
+            push[:] = known[-1]
+            push[: len(known)] = known
+        return push
 
     def plan(
         self,
@@ -148,7 +159,8 @@ class Planner:
         """
         self._start, self._partner = tick, partner
         self.cost.forget(tick)
-        state = np.array(qpos), np.array(qvel), np.array(warmstart)
+        padded = self.person.padded
+        state = padded(np.array(qpos)), padded(np.array(qvel)), padded(np.array(warmstart))
         goals = self._goals(tick)
         path, gains = self._first(tick, state, goals)
         strength = self.regularisation
@@ -174,7 +186,10 @@ class Planner:
         h, path = tick - self._plan.start, self._plan.path
         control = path.control[h]
         if self._settings.feedback:
-            off = self._off(path, h, qpos, qvel)
+            padded = self.person.padded
+            off = self._off(path, h, padded(qpos), padded(qvel))
+            if self.person.yielding:  # how far the partner gave way is not looked at between plans
+                off.reshape(2, -1)[:, -self.person.yielding :] = 0
             control = control + self._plan.gains[h] @ off
         return self._bounded(tick, control)
 
@@ -214,6 +229,7 @@ class Planner:
         qpos, qvel = np.empty((H + 1, model.nq)), np.empty((H + 1, model.nv))
         control, warmstart = np.empty((H, person.nu)), np.empty((H, model.nv))
         met: list[int] = []
+        push = np.zeros((H, 2))
         cost = 0.0
         for h in range(H + 1):
             qpos[h], qvel[h] = data.qpos, data.qvel
@@ -229,12 +245,15 @@ class Planner:
                 data.ctrl[person.targets] = control[h]
                 mujoco.mj_step(model, data)
                 met.append(touching(data))
+                if person.yielding:
+                    push[h] = data.qfrc_constraint[-person.yielding :]
             else:
                 mujoco.mj_kinematics(model, data)
             if h > 0:
                 share = self.cost.terminal if h == H else 1.0
                 cost += share * self._state_cost(tick + h, h, qpos[h], qvel[h], data, goals)
-        return Path(qpos, qvel, control, warmstart, met, cost if np.isfinite(cost) else 1e12)
+        cost = cost if np.isfinite(cost) else 1e12
+        return Path(qpos, qvel, control, warmstart, met, cost, push)
 
     def _state_cost(
         self, tick: int, h: int, qpos: NDArray, qvel: NDArray, data: Any, goals: Sequence[_Goal]
@@ -342,8 +361,9 @@ class Planner:
         ghost = self.person.ghost
         if len(ghost) and self._partner is not None:
             h = tick - self._start
-            data.mocap_pos[ghost] = self._partner.positions[h]
-            data.mocap_quat[ghost] = self._partner.turns[h]
+            self.person.set_ghost(
+                data, self._partner.positions[h], self._partner.turns[h], self._partner.push[h]
+            )
         if self._guide is not None:
             self._guide(data, tick)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 from robots.errors import SpecError
 
@@ -74,8 +75,9 @@ class IlqrSettings:
     cache: float = 3.0
     """How far a knot may have moved for its derivatives to be kept, in units of 0.01 rad, 0.3 rad/s
     and 0.05 rad of control; 0 takes all of them anew for every plan."""
-    ghost: bool = True
-    """Whether plans see the partner."""
+    ghost: bool | Literal["yielding"] = True
+    """Whether plans see the partner: as bodies that nothing moves, or as ``yielding`` ones, which
+    can be pushed away with the partner's weight."""
     feedback: bool = True
     """Whether the time-varying LQR gains act between plans."""
     touch: bool = True
@@ -111,6 +113,8 @@ class IlqrSettings:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise SpecError(f"{value}", where=f"ilqr.{name}", allowed=f"{low:g} to {high:g}")
+        if self.ghost not in (True, False, "yielding"):
+            raise SpecError(f"{self.ghost}", where="ilqr.ghost", allowed="true, false, yielding")
 
 
 QUALITIES: dict[str, IlqrSettings] = {
