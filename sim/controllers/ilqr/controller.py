@@ -43,7 +43,9 @@ _KEEP = 0.25
 _BACK, _BACK_MORE = 0.7, 0.5
 """How far to go back, s, and how much further with every failure at the same place."""
 _TRIES = 3
-"""How often the same half second is tried anew; the third time only if the second got further."""
+"""How often the same half second is tried anew."""
+_FURTHER = 0.1
+"""How much further, s, the second try must have come to be worth a third."""
 _WAYPOINTS = 12
 """How many states to go back to are kept: 3 s, further than any try goes back."""
 _PAST = 0.5
@@ -219,7 +221,7 @@ class _Run:
             return False
         place = int(tick / (0.5 * rate))
         again = recovery.tries.get(place, 0)
-        stuck = again > 1 and tick / rate <= recovery.events[-1]["lost_at"]
+        stuck = again > 1 and tick / rate < recovery.events[-1]["lost_at"] + _FURTHER
         if stuck or again >= _TRIES or len(recovery.events) >= self.settings.recovery:
             return False
         recovery.tries[place] = again + 1
