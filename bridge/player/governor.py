@@ -14,7 +14,8 @@ A trajectory within its limits passes unchanged. One that was held back is caugh
 moves relative to the path no faster than it can still be braked, so that it arrives without
 swinging over. With a lag ``e``, a period ``h`` and an acceleration ``A``::
 
-    relative speed = min(e / h,  sqrt((A h / 2)^2 + 2 A e) - A h / 2)
+    relative speed = e / h                    if e <= A h^2: there in one tick, at rest in the next
+                     sqrt(2 A e) - A h / 2    else: falls by A h in each tick
 
 Worked example: h 0.02 s, A 50 rad/s^2. A lag of 0.01 rad is made up at 0.5 rad/s, in one tick; one
 of 0.5 rad at 6.6 rad/s at first (if the joint is that fast), and ever slower towards its end.
@@ -72,9 +73,10 @@ class Governor:
         asked = np.clip(asked, self._lower, self._upper)
         lag = self._asked - self._told
         change = self._acceleration * h
-        braked = np.sqrt(change**2 / 4 + 2 * self._acceleration * np.abs(lag)) - change / 2
+        braked = np.sqrt(2 * self._acceleration * np.abs(lag)) - change / 2
+        closing = np.where(np.abs(lag) <= change * h, np.abs(lag) / h, braked)
         path = (asked - self._asked) / max(elapsed, h)
-        velocity = path + np.sign(lag) * np.minimum(np.abs(lag) / h, braked)
+        velocity = path + np.sign(lag) * closing
         velocity = np.clip(velocity, self._velocity - change, self._velocity + change)
         velocity = np.clip(velocity, -self._fastest, self._fastest)
         told = self._told + velocity * h

@@ -20,6 +20,8 @@ log = logging.getLogger(__name__)
 
 RETRY_TIME = 0.1
 """Time between two attempts to open a lost port, s."""
+SHOWN = 6
+"""Differences that are named before the others are only counted."""
 CUT_TIMES = 3
 """How often torque-off is broadcast: nobody answers, so once may get lost."""
 
@@ -74,8 +76,10 @@ class Link:
         if eeprom == "keep":
             different = self.differences()
             if different:
+                more = len(different) - SHOWN
+                some = different[:SHOWN] + ([f"and {more} more"] if more > 0 else [])
                 raise ServoFault(
-                    f"the EEPROM of servos differs from the robot's file: {'; '.join(different)}",
+                    f"the EEPROM of servos differs from the robot's file: {'; '.join(some)}",
                     where=self.bus.port,
                     hint="play with --write-eeprom once: it makes a backup and writes them",
                 )

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bridge.player.governor import PERIODS, Governor
-from tests.bridge.player.stage import SMALL
+from bridge.player.telemetry import read_telemetry
+from tests.bridge.player.stage import BRISK, SMALL, Stage
 
 ROBOT = SMALL[0]
 H = 0.02
@@ -59,7 +62,7 @@ def test_a_leap_is_made_up_for_without_swinging_over():
 
 def test_after_a_gap_no_goal_is_further_than_two_periods_of_full_speed():
     bounds = governor()
-    asked = ROBOT.rest.copy()
+    asked = before = ROBOT.rest.copy()
     for _ in range(20):
         asked = asked - 0.01
         before = bounds.bound(asked, UNKNOWN, H)
@@ -69,8 +72,23 @@ def test_after_a_gap_no_goal_is_further_than_two_periods_of_full_speed():
 
 def test_a_goal_stays_near_a_joint_that_is_held():
     bounds = governor()
-    held = ROBOT.rest
+    held = told = ROBOT.rest
     for _ in range(100):
         told = bounds.bound(ROBOT.upper, held, H)
     assert (told - held <= 0.6 + 1e-9).all()
     assert bounds.held_back[0]
+
+
+def test_joints_that_are_not_told_what_was_asked_are_named_in_the_telemetry(tmp_path):
+    stage, path = Stage(robots=SMALL), tmp_path / "t.jsonl"
+    servo = stage.wires[0].servos[2]
+
+    def hold(state: str, share: float) -> None:
+        if state == "PLAY" and 0.3 < share < 0.5:
+            servo.place(ROBOT.rest[2] + 1.0)  # a hand, further away than a goal may be
+
+    settings = dataclasses.replace(BRISK, stray=5.0)
+    assert stage.play(telemetry=path, on_progress=hold, settings=settings).completed
+    events = [x for x in read_telemetry(path) if x.get("event") == "held back"]
+    assert events[0]["joints"] == [ROBOT.joint_names[2]]
+    assert events[-1]["joints"] == []

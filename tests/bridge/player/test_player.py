@@ -110,7 +110,7 @@ def test_telemetry_is_complete_up_to_a_crash(tmp_path):
     assert stage.open_ports == 0
 
 
-def test_a_robot_on_two_buses_is_one_robot():
+def test_a_robot_on_two_buses_is_one_robot(tmp_path):
     robot = ROBOTS[0]
     bus = robot.buses["main"]
     split = dataclasses.replace(
@@ -143,6 +143,8 @@ def test_a_robot_on_two_buses_is_one_robot():
         ports=({"left": "/dev/l", "right": "/dev/r"}, "/dev/other"),
         gate=Verdict(passed=True),
         arm=True,
+        write_eeprom=True,
+        backups=tmp_path,
         settings=BRISK,
         clock=clock,
         connector=connector,

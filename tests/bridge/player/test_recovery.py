@@ -15,9 +15,9 @@ from tests.bridge.player.stage import BRISK, SMALL, STEP, Stage, fault_time, sta
 
 
 def away(kind: str, start: float, seconds: float) -> Fault:
-    """Return a fault of the first servo, or of the whole adapter, during the dance."""
+    """Return a fault of the first servo (silence) or of the whole bus, during the dance."""
     begin = fault_time(start, SMALL)
-    servo = None if kind == "unplug" else SMALL[0].joints[0].servo.id
+    servo = SMALL[0].joints[0].servo.id if kind == "silence" else None
     return Fault(kind, start=begin, end=begin + seconds, servo_id=servo)  # type: ignore[arg-type]
 
 
@@ -72,8 +72,8 @@ def test_three_lost_answers_are_coasted_over_and_a_fourth_is_not(tmp_path):
     settings = dataclasses.replace(BRISK, health_period=60)  # each tick reads once
     for count, freezes in ((3, False), (4, True)):
         path = tmp_path / f"{count}.jsonl"
-        away_for = (count - 0.5) * STEP
-        stage = Stage(away("drop", 0.5, away_for), robots=SMALL)
+        # From half a tick before the first; that read waits for two ticks, the others for one.
+        stage = Stage(away("drop", 0.49, (count + 1) * STEP), robots=SMALL)
         stage.play(telemetry=path, settings=settings)
         assert ("FREEZE" in states(path)) is freezes
 
@@ -130,3 +130,13 @@ def test_a_pause_stops_both_at_one_phase_and_ends_softly(tmp_path):
     assert (np.abs(np.diff(steps)) <= STEP * STEP / 0.5 + 1e-4).all()
     rates = [x["rate"] for x in read_telemetry(path) if x.get("event") == "rate"]
     assert rates == [0.0, 1.0]
+
+
+def test_goals_lost_on_their_way_are_made_up_for_by_the_next():
+    """Nobody answers a sync write; the one after it carries the whole pose again."""
+    begin = fault_time(0.1, SMALL)
+    stage = Stage(Fault("deaf", start=begin, end=begin + 0.8, probability=0.15), robots=SMALL)
+    performance = stage.play()
+    assert performance.completed
+    assert performance.tracking["a"].missed_reads > 0
+    assert performance.tracking["a"].max_deg < 10
