@@ -216,7 +216,7 @@ def pace(clients: list[Client], run: Run) -> dict[str, Any]:
     return {
         "cycles": len(late) * len(ours),
         "missed": missed,
-        "dropped": tick - len(late),
+        "dropped": math.ceil(run.rate * run.seconds) - len(late),
         "jitter_p99_ms": 1e3 * float(np.percentile(late, 99)),
         "skew_p50_ms": 1e3 * float(np.percentile(skew, 50)),
         "skew_p99_ms": 1e3 * float(np.percentile(skew, 99)),

@@ -75,7 +75,6 @@ _WORDS_OF = tuple(Struct(f">{count}H").unpack_from for count in range(MAX_PACKET
 """Take so many big-endian words out of bytes."""
 
 
-@cache
 def _word_table() -> array[int]:
     """Return the CRC of two zero bytes by the CRC before them.
 
@@ -86,9 +85,10 @@ def _word_table() -> array[int]:
     crc = np.arange(65536, dtype=np.uint16)
     for _ in range(2):
         crc = np.left_shift(crc, np.uint16(8)) ^ single[crc >> 8]
-    return array("H", crc.tolist())
+    return array("H", crc.tobytes())
 
 
+_WORDS = _word_table()
 _DISTANCE = 256 * np.arange(MAX_PACKET - 1, -1, -1, dtype=np.int64)
 
 
@@ -119,7 +119,7 @@ def crc16(data: bytes | bytearray | memoryview, crc: int = 0) -> int:
         return crc16(data[MAX_PACKET:], crc16(data[:MAX_PACKET], crc))
     if count & 1:
         crc = ((crc << 8) & 0xFFFF) ^ _BYTES[(crc >> 8) ^ data[0]]
-    table = _word_table()
+    table = _WORDS
     for word in _WORDS_OF[count >> 1](data, count & 1):
         crc = table[crc ^ word]
     return crc
@@ -172,7 +172,7 @@ def fast_status(entries: list[tuple[int, int, bytes]]) -> list[bytes]:
     """
     length = 1 + sum(len(data) + 4 for _, _, data in entries)
     head = HEADER + bytes((BROADCAST, length & 0xFF, length >> 8, STATUS))
-    pieces, crc, table = [head], crc16(head), _word_table()
+    pieces, crc, table = [head], crc16(head), _WORDS
     for error, servo_id, data in entries:
         piece = bytes((error, servo_id)) + data
         crc = crc16(piece, crc)
