@@ -52,6 +52,11 @@ def _span(address: int, length: int) -> bytes:
 
 
 @cache
+def _places(length: int) -> NDArray[np.intp]:
+    return 256 * np.arange(length)
+
+
+@cache
 def _contributions(length: int) -> NDArray[np.uint16]:
     """Return what a byte adds to the CRC of ``length`` bytes, by 256 * its place + its value.
 
@@ -69,8 +74,8 @@ def _contributions(length: int) -> NDArray[np.uint16]:
 def crc16_rows(rows: NDArray[np.uint8]) -> NDArray[np.uint16]:
     """Return the CRC-16 of each row of ``[N, M]`` bytes."""
     length = rows.shape[1]
-    index = rows + 256 * np.arange(length)
-    return np.bitwise_xor.reduce(_contributions(length)[index], axis=1)
+    index = rows + _places(length)
+    return np.bitwise_xor.reduce(_contributions(length).take(index), axis=1)
 
 
 class SyncWritePacket:
@@ -151,10 +156,10 @@ class SyncReadPacket:
     def _whole_chain(self, received: bytes | bytearray) -> SyncAnswer | None:
         if not received.startswith(self.head):
             return None
-        if crc16(memoryview(received)[:-2]) != received[-2] | received[-1] << 8:
+        answer = np.frombuffer(received, np.uint8)
+        if crc16_rows(answer[None, :-2])[0] != received[-2] | received[-1] << 8:
             return None
-        rows = np.frombuffer(received, np.uint8, offset=len(self.head))
-        rows = rows.reshape(len(self.ids), -1)
+        rows = answer[len(self.head) :].reshape(len(self.ids), -1)
         if (rows[:, 1] != self._id_column).any():
             return None
         return self._answer(rows[:, 0], rows[:, 2:-2])
