@@ -33,6 +33,8 @@ from sim.controllers.ilqr.touch import Touch
 _factorise, _solve = get_lapack_funcs(("potrf", "potrs"), dtype=np.float64)
 
 _STEP_LENGTHS = (1.0, 0.5, 0.2, 0.05)
+_WORTHWHILE = 0.02
+"""Share by which a sweep must lower the cost for another one to follow."""
 _TAIL = 0.8
 """Share of the last planned offset that a new plan's unplanned tail starts with."""
 
@@ -170,6 +172,7 @@ class Planner:
             if solved is None:
                 break
             gains, step = solved
+            before = path.cost
             for length in _STEP_LENGTHS:
                 better = self._roll(tick, state, path, goals, gains, length * step)
                 if better.cost < path.cost:
@@ -177,6 +180,9 @@ class Planner:
                     break
             else:
                 strength *= 10
+                continue
+            if path.cost > (1 - _WORTHWHILE) * before:
+                break
         self._plan = _Plan(tick, path, gains)
 
     def control(self, tick: int, qpos: NDArray, qvel: NDArray) -> FloatArray:
