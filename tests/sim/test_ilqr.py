@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from generator.choreographer import choreograph
-from generator.motion import Contact, DuetMotion
+from generator.motion import Contact, DuetMotion, Motion
 from robots.errors import SpecError
+from robots.skeleton import FloatArray
 from sim.controllers.ilqr.controller import IlqrController, _Run
 from sim.controllers.ilqr.cost import TrackingCost
 from sim.controllers.ilqr.knots import KnotDerivatives, Path
@@ -19,6 +20,7 @@ from sim.controllers.ilqr.person import person_model
 from sim.controllers.ilqr.settings import IlqrSettings, Weights
 from sim.controllers.ilqr.touch import RAMP, body_point, find_touches
 from sim.disturbance import NONE
+from sim.outcome import Cost, outcome
 from sim.reference import Reference, make_reference
 from sim.scene import AssistLimits, Scene, build_scene
 from sim.simulation import reference_qvel
@@ -138,6 +140,29 @@ def test_what_planners_keep_does_not_grow_with_the_clip(scene, reference):
     for planner in run.planners:
         assert 0 < len(planner.cost._hessians) <= planner.horizon + 2
         assert len(planner.derivatives._kept) <= planner.horizon
+
+
+def hovering(points: FloatArray) -> FloatArray:
+    return points + np.array([0.0, 0.0, 0.6])
+
+
+def jumping(points: FloatArray) -> FloatArray:
+    points[6:, :, 0] -= 1.0
+    return points
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("change", [hovering, jumping])
+def test_what_nobody_can_do_ends_and_says_when_and_why(motion, change):
+    people = [Motion(p.fps, change(p.keypoints.copy()), skeleton=p.skeleton) for p in motion.people]
+    impossible = replace(motion, a=people[0], b=people[1])
+    hasty = IlqrSettings(horizon=0.2, recovery=1, threads=1)
+    rollout = track(impossible, settings=TrackSettings(ilqr=hasty))
+    assert rollout.ended is not None
+    assert rollout.ended["time"] < motion.duration - 0.2
+    assert "at 0." in rollout.ended["why"]
+    assert len(rollout.metadata["recoveries"]) == 1
+    assert not outcome(rollout, Cost(1.0, 1.0)).success
 
 
 @pytest.mark.parametrize("p", [0, 1])
