@@ -105,7 +105,14 @@ def test_a_duet_on_two_pseudo_terminals_keeps_real_time():
     wave = np.sin(3 * times)[:, None] * np.minimum(0.3, 0.8 * room)
     trajectory = JointTrajectory(times, ROBOT.rest + wave, ROBOT.joint_names, ROBOT.name)
     settings = PlayerSettings(
-        rate=50, ramp_time=0.3, settle_time=0.1, max_stall=5, watchdog=0, lost_reads=500
+        rate=50,
+        ramp_time=0.3,
+        settle_time=0.1,
+        max_stall=5,
+        watchdog=0,
+        lost_reads=500,
+        soft_time=0.1,
+        relax_time=0.1,
     )
     performance = play(
         (trajectory, trajectory), (ROBOT, ROBOT), gate=Verdict(passed=True), settings=settings
@@ -132,7 +139,8 @@ dance = JointTrajectory(times, robot.rest + wave, robot.joint_names, robot.name)
 stop = StopRequest()
 signal.signal(signal.SIGINT, lambda *_: stop.set())
 settings = PlayerSettings(
-    rate=50, ramp_time=0.2, hold_time=0.1, max_stall=5, watchdog=0, lost_reads=500
+    rate=50, ramp_time=0.2, hold_time=0.1, max_stall=5, watchdog=0, lost_reads=500,
+    soft_time=0.1, relax_time=0.1,
 )
 def progress(state, share):
     if state == "PLAY" and share > 0.005:
