@@ -81,4 +81,5 @@ def test_a_minute_of_two_walking_robots_on_their_own_bodies_stays_in_step(tmp_pa
     clip = clip_of_telemetry(path)
     columns = [clip.model.joint(f"b/{name}").qposadr[0] for name in OP3.joint_names]
     shown = clip.qpos[np.rint(recording.times * clip.fps).astype(int)][:, columns]
-    np.testing.assert_allclose(shown, recording.people[1].present, atol=0.02)
+    # The nearest picture is up to half a frame from the tick: 8 ms at less than 6 rad/s.
+    np.testing.assert_allclose(shown, recording.people[1].present, atol=0.05)
