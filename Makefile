@@ -38,7 +38,8 @@ format: $(VENV)/.installed-dev
 	$(BIN)/ruff format .
 
 bench: $(VENV)/.installed-dev
-	@for file in benchmarks/*.py; do $(BIN)/python $$file || exit 1; done
+	@for name in generate linearize retarget score stream track; do \
+	  $(BIN)/python -m benchmarks.$$name || exit 1; done
 
 bench-track: $(VENV)/.installed-dev
 	$(BIN)/python -m benchmarks.tracking $(TRACK)
