@@ -1,12 +1,13 @@
 """Time the tracker: CPU seconds per second of duet, and how well it does.
 
-Usage: ``python benchmarks/track.py [MOTION ...]``; without files, one choreographed duet per kind.
+Usage: ``python -m benchmarks.track [--controller NAME] [MOTION ...]``; without files, one
+choreographed duet per kind.
 """
 
 from __future__ import annotations
 
+import argparse
 import statistics
-import sys
 import time
 from collections.abc import Iterator
 
@@ -16,7 +17,7 @@ from generator.choreographer import choreograph, repertoire
 from generator.io import read_motion
 from generator.motion import DuetMotion
 from sim.metrics.effort import force_share
-from sim.track import track
+from sim.track import CONTROLLERS, TrackSettings, track
 
 
 def motions(paths: list[str]) -> Iterator[tuple[str, DuetMotion]]:
@@ -31,11 +32,16 @@ def motions(paths: list[str]) -> Iterator[tuple[str, DuetMotion]]:
 
 def main() -> None:
     """Print one line per motion and the median at the end."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.track")
+    parser.add_argument("motions", nargs="*")
+    parser.add_argument("--controller", choices=tuple(CONTROLLERS), default="ilqr")
+    args = parser.parse_args()
+    settings = TrackSettings(controller=args.controller)
     ratios, errors = [], []
     print("motion                      duration   mpjpe  assist  fell  cpu-s per s")
-    for name, motion in motions(sys.argv[1:]):
+    for name, motion in motions(args.motions):
         start = time.process_time()
-        rollout = track(motion)
+        rollout = track(motion, settings=settings)
         ratio = (time.process_time() - start) / motion.duration
         error = float(rollout.error.mean()) * 1000
         help_ = float(np.mean(force_share(rollout.assist, rollout.bodies))) * 100
