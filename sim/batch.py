@@ -14,7 +14,7 @@ import os
 import signal
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
@@ -41,7 +41,7 @@ def cores() -> int:
 
 def in_processes(
     function: Callable[[T], R], items: Sequence[T], processes: int
-) -> Iterator[tuple[T, R | Lost]]:
+) -> Generator[tuple[T, R | Lost]]:
     """Yield each item with its result, in the order in which they are done.
 
     Processes are spawned, not forked, with one BLAS thread each. If the iterator is closed early,
