@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from generator.io import write_motion
 from generator.kinematics import continuous, forward_kinematics, to_wxyz
 from generator.motion import Contact, DuetMotion, Motion
 from robots.skeleton import human_skeleton
@@ -72,3 +74,13 @@ def golden() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no reference vectors at {folder}")
     return folder
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, make_duet: MakeDuet) -> Path:
+    """Three short duets, each with a sentence of its own, and room for their cache."""
+    root = tmp_path_factory.mktemp("clips")
+    for seed, text in enumerate(("two people wave", "they bow left", "a hug")):
+        duet = replace(make_duet(frames=20, seed=seed), text=text)
+        write_motion(duet, root / "duets" / f"{seed}.npz")
+    return root

@@ -14,8 +14,7 @@ import torch
 from generator import checkpoint
 from generator.data import BatchConfig, BatchStream, DuetFolder
 from generator.given import TRAJECTORY
-from generator.io import write_motion
-from generator.training.config import RunConfig, TrainingConfig, load_config, parse
+from generator.training.config import RunConfig, load_config, parse
 from generator.training.draws import draw
 from generator.training.freezing import frozen
 from generator.training.learner import Learner, TrainingDiverged
@@ -33,16 +32,6 @@ TINY = {"width": 16, "layers": 1, "heads": 2, "feedforward": 16, "dropout": 0.1}
 @pytest.fixture(autouse=True)
 def _one_thread() -> None:
     torch.set_num_threads(1)
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory, make_duet: Any) -> Path:
-    """Three short duets, each with a sentence of its own, and room for their cache."""
-    root = tmp_path_factory.mktemp("clips")
-    for seed, text in enumerate(("two people wave", "they bow left", "a hug")):
-        duet = replace(make_duet(frames=20, seed=seed), text=text)
-        write_motion(duet, root / "duets" / f"{seed}.npz")
-    return root
 
 
 def small(folder: Path, **tables: dict[str, Any]) -> RunConfig:
@@ -212,30 +201,6 @@ def test_two_halves_of_a_batch_have_the_gradient_of_the_whole(folder: Path, tmp_
         torch.testing.assert_close(gradients[2][name], value, rtol=1e-4, atol=1e-6)
 
 
-def test_what_is_drawn_does_not_depend_on_how_a_batch_is_divided() -> None:
-    config = TrainingConfig(seed=3, freeze="mixed")
-    whole = draw(config, 40, [9, 5, 12, 7], 12, 524)
-    parts = [draw(config, 40, [9, 5], 9, 524), draw(config, 42, [12, 7], 12, 524)]
-    assert torch.equal(whole.noise[:2, :9], parts[0].noise)
-    assert torch.equal(whole.noise[2:], parts[1].noise)
-    assert torch.equal(whole.t, torch.cat([part.t for part in parts]))
-    assert torch.equal(whole.keep_text, torch.cat([part.keep_text for part in parts]))
-    assert whole.frozen is not None
-    assert parts[1].frozen is not None
-    assert torch.equal(whole.frozen[2:], parts[1].frozen)
-
-
-def test_draws_are_standard_noise_uniform_steps_and_a_tenth_without_text() -> None:
-    config = TrainingConfig(unconditional=0.1)
-    draws = draw(config, 0, [1] * 4000, 1, 8)
-    assert abs(float(draws.noise.mean())) < 0.02
-    assert float(draws.noise.std()) == pytest.approx(1, abs=0.02)
-    assert (int(draws.t.min()), int(draws.t.max())) == (0, 999)
-    assert float(draws.t.float().mean()) == pytest.approx(499.5, abs=15)
-    assert float(draws.keep_text.mean()) == pytest.approx(0.9, abs=0.02)
-    assert draws.frozen is None
-
-
 def test_each_way_of_freezing_gives_away_what_it_says() -> None:
     rng = np.random.default_rng(0)
     seen = set()
@@ -395,52 +360,6 @@ def test_curves_go_to_tensorboard_where_it_is_installed(
     assert written[0] == ("tensorboard", 1)
     assert ("total", 6) in written
     assert written[-1] == "closed"
-
-
-def shrunk(name: str, folder: Path, steps: int) -> RunConfig:
-    """A shipped configuration at a size that a test can afford, on the three duets."""
-    run = load_config(CONFIGS / name)
-    tables = run.tables()
-    tables["model"] |= TINY
-    tables["text"] = {}
-    tables["data"] |= {
-        "cache": str(folder / "cache"),
-        "frames": 16,
-        "source": [{"kind": "duets", "root": str(folder / "duets")}],
-    }
-    training = {"batch": 2, "steps": steps, "warmup_steps": 1, "initial": ""}
-    tables["training"] |= training
-    del tables["training"]["warmup_epochs"]
-    tables["log"] = {"tensorboard": False}
-    return parse(tables)
-
-
-NAMES = sorted(str(path.relative_to(CONFIGS)) for path in CONFIGS.rglob("*.toml"))
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_every_shipped_configuration_takes_steps(name: str, folder: Path, tmp_path: Path) -> None:
-    run = shrunk(name, folder, steps=2)
-    outcome = train(run, tmp_path)
-    assert outcome.finished
-    losses = outcome.losses
-    assert np.isfinite(losses["total"])
-    objective = run.objective
-    t = draw(run.training, 0, [1] * 2 * run.training.batch, 1, 2).t
-    regular = objective.regularisation * bool((t <= objective.last_regularised_step).any())
-    for term in ("distance_map", "relative_orientation", "bone_length"):
-        assert (losses[term] > 0) == (regular * getattr(objective, term) > 0), term
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
-def test_every_shipped_configuration_takes_twenty_steps(
-    name: str, folder: Path, tmp_path: Path
-) -> None:
-    outcome = train(shrunk(name, folder, steps=20), tmp_path)
-    assert outcome.steps == 20
-    assert np.isfinite(outcome.losses["total"])
-    assert checkpoint.load(tmp_path).config.representation in ("canonical", "non_canonical")
 
 
 def test_a_source_that_is_not_there_is_named(folder: Path, tmp_path: Path) -> None:
