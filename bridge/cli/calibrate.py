@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from bridge.cli.asking import DECLINED, add_asking, asker, ports_by_bus
 from bridge.cli.console import Console
-from bridge.cli.options import DEFAULT_ROBOT
+from bridge.cli.options import DEFAULT_ROBOT, add_unit_ports
 
 if TYPE_CHECKING:
     from bridge.setup.calibration import Calibration
@@ -27,13 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--robot", default=DEFAULT_ROBOT, metavar="NAME", help="its design (default op3)"
     )
-    parser.add_argument(
-        "--port",
-        nargs="+",
-        default=["virtual"],
-        metavar="PORT",
-        help="serial port, BUS=PORT for each of several buses, or 'virtual' (default)",
-    )
+    add_unit_ports(parser)
     parser.add_argument("--unit", metavar="NAME", help="name of the unit (default: the file's)")
     parser.add_argument(
         "--joint", nargs="+", default=[], metavar="NAME", help="these joints only; keeps the others"

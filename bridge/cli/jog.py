@@ -15,7 +15,7 @@ from pathlib import Path
 
 from bridge.cli.asking import add_asking, asker, ports_by_bus, require_armed
 from bridge.cli.console import Console
-from bridge.cli.options import DEFAULT_ROBOT
+from bridge.cli.options import DEFAULT_ROBOT, add_unit_ports
 from robots.errors import SpecError
 
 UP_KEYS, DOWN_KEYS = ("+", "=", "k", "\x1b[A", "\x1b[C"), ("-", "_", "j", "\x1b[B", "\x1b[D")
@@ -28,13 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--robot", default=DEFAULT_ROBOT, metavar="NAME", help="whose joint (default op3)"
     )
-    parser.add_argument(
-        "--port",
-        nargs="+",
-        default=["virtual"],
-        metavar="PORT",
-        help="serial port, BUS=PORT for each of several buses, or 'virtual' (default)",
-    )
+    add_unit_ports(parser)
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="of this unit")
     parser.add_argument("--arm", action="store_true", help="allow a real servo to move")
     parser.add_argument("--step", type=float, default=2.0, metavar="DEG", help="per key (2)")

@@ -96,6 +96,17 @@ def intergen_request(args: argparse.Namespace) -> IntergenRequest | None:
     return IntergenRequest(**values, threads=args.threads, then=tuple(args.then))
 
 
+def add_unit_ports(parser: argparse.ArgumentParser) -> None:
+    """Add where the buses of one robot are."""
+    parser.add_argument(
+        "--port",
+        nargs="+",
+        default=["virtual"],
+        metavar="PORT",
+        help="serial port, BUS=PORT for each of several buses, or 'virtual' (default)",
+    )
+
+
 def add_motion_request(parser: argparse.ArgumentParser) -> None:
     """Add what a motion file may leave unsaid."""
     group = parser.add_argument_group("what a motion file may leave unsaid")

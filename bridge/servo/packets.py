@@ -125,6 +125,12 @@ def crc16(data: bytes | bytearray | memoryview, crc: int = 0) -> int:
     return crc
 
 
+def crc16_rows(rows: NDArray[np.uint8]) -> NDArray[np.uint16]:
+    """Return the CRC-16 of each row of ``[N, M]`` bytes, M at most :data:`MAX_PACKET`."""
+    index = rows + _DISTANCE[-rows.shape[1] :]
+    return np.bitwise_xor.reduce(_contributions().take(index), axis=1)
+
+
 def stuff(body: bytes) -> bytes:
     """Return INST and parameters with an ``FD`` behind every ``FF FF FD``."""
     return body.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")

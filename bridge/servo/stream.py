@@ -17,7 +17,6 @@ packet (:class:`~bridge.servo.packets.Parser`), and what is intact in it is kept
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +32,7 @@ from bridge.servo.packets import (
     SYNC_WRITE,
     Packet,
     crc16,
+    crc16_rows,
     fast_answers,
     fast_head,
     instruction,
@@ -49,33 +49,6 @@ _BODY = 7
 
 def _span(address: int, length: int) -> bytes:
     return address.to_bytes(2, "little") + length.to_bytes(2, "little")
-
-
-@cache
-def _places(length: int) -> NDArray[np.intp]:
-    return 256 * np.arange(length)
-
-
-@cache
-def _contributions(length: int) -> NDArray[np.uint16]:
-    """Return what a byte adds to the CRC of ``length`` bytes, by 256 * its place + its value.
-
-    A CRC is linear: that of a message is the exclusive or of those of its single bytes, each
-    followed by as many zeros as there are bytes behind it.
-    """
-    single = np.array([crc16(bytes((value,))) for value in range(256)], np.uint16)
-    places = [single]
-    for _ in range(length - 1):
-        last = places[-1]
-        places.append(np.left_shift(last, np.uint16(8)) ^ single[last >> 8])
-    return np.concatenate(places[::-1])
-
-
-def crc16_rows(rows: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    """Return the CRC-16 of each row of ``[N, M]`` bytes."""
-    length = rows.shape[1]
-    index = rows + _places(length)
-    return np.bitwise_xor.reduce(_contributions(length).take(index), axis=1)
 
 
 class SyncWritePacket:
@@ -157,7 +130,7 @@ class SyncReadPacket:
         if not received.startswith(self.head):
             return None
         answer = np.frombuffer(received, np.uint8)
-        if crc16_rows(answer[None, :-2])[0] != received[-2] | received[-1] << 8:
+        if crc16(memoryview(received)[:-2]) != received[-2] | received[-1] << 8:
             return None
         rows = answer[len(self.head) :].reshape(len(self.ids), -1)
         if (rows[:, 1] != self._id_column).any():

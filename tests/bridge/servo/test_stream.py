@@ -13,9 +13,17 @@ import serial
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from bridge.servo.packets import BROADCAST, SYNC_WRITE, crc16, fast_status, instruction, status
+from bridge.servo.packets import (
+    BROADCAST,
+    SYNC_WRITE,
+    crc16,
+    crc16_rows,
+    fast_status,
+    instruction,
+    status,
+)
 from bridge.servo.serial_port import open_serial
-from bridge.servo.stream import SyncReadPacket, SyncWritePacket, crc16_rows
+from bridge.servo.stream import SyncReadPacket, SyncWritePacket
 
 IDS = (1, 7, 253 - 1, 40)
 WORDS = st.lists(st.binary(min_size=4, max_size=4), min_size=len(IDS), max_size=len(IDS))
