@@ -54,8 +54,6 @@ class PersonModel:
     """Where the person's ``qvel`` lies in the scene's."""
     targets: NDArray[np.intp]
     """``[3 (J-1)]`` addresses of the joint targets in this model's ``ctrl``."""
-    assist: NDArray[np.intp]
-    """``[6]`` addresses of the root assist in this model's ``ctrl``; empty without."""
 
     @property
     def nv(self) -> int:
@@ -135,7 +133,6 @@ def person_model(scene: Scene, p: int, *, ghost: bool | Literal["yielding"] = Tr
         qpos=slice(there.root_qpos, there.root_qpos + model.nq - yielding),
         qvel=slice(there.root_dof, there.root_dof + model.nv - yielding),
         targets=at.targets.reshape(-1),
-        assist=at.assist,
     )
 
 

@@ -11,7 +11,7 @@ from robots.errors import SpecError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Weights:
-    """Weights of the quadratic tracking cost, per knot. Found by search on captured clips."""
+    """Weights of the quadratic tracking cost, per knot: balance before place, place before pose."""
 
     root_position: float = 20.0
     """1/m2."""
