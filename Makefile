@@ -6,12 +6,15 @@ SENTENCE ?= two people shake hands
 # Two dancers, two cores: more threads than that only get in each other's way.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
+# Processes that share the tests; a test that holds a deadline of the wall clock runs alone.
+WORKERS ?= auto
+PARALLEL := -n $(WORKERS) --maxprocesses=8 --dist=worksteal
 
 .PHONY: help demo test test-fast check format bench bench-track clean
 
 help:
 	@echo "make demo       install, then turn a sentence into two moving puppets (out/)"
-	@echo "make test       install the test tools, then run all tests"
+	@echo "make test       install the test tools, then run all tests on all cores"
 	@echo "make test-fast  the same without the slow ones"
 	@echo "make check      formatting, lint, types, package borders"
 	@echo "make bench      benchmarks, one figure each"
@@ -21,11 +24,16 @@ help:
 demo: $(VENV)/.installed
 	$(BIN)/pasdedeux run "$(SENTENCE)"
 
+# Both halves run whatever the first one says; make fails if either did.
 test: $(VENV)/.installed-dev
-	$(BIN)/pytest
+	@status=0; \
+	$(BIN)/pytest $(PARALLEL) -m "not realtime" || status=1; \
+	$(BIN)/pytest -m realtime || status=1; \
+	exit $$status
 
 test-fast: $(VENV)/.installed-dev
-	$(BIN)/pytest -m "not slow"
+	$(BIN)/pytest $(PARALLEL) -m "not slow and not realtime"
+	$(BIN)/pytest -m "realtime and not slow"
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check .
