@@ -39,6 +39,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
+@pytest.mark.realtime
 def test_run_leaves_every_file(demo: Path) -> None:
     left = {path.name for path in demo.iterdir()}
     wanted = FILES if choose_backend() != "disable" else FILES - {"video.mp4", "picture.png"}
@@ -46,6 +47,7 @@ def test_run_leaves_every_file(demo: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.realtime
 def test_summary_says_how_every_stage_went(demo: Path) -> None:
     summary = json.loads((demo / "summary.json").read_text())
     assert summary["motion"]["interaction"] == "handshake"
@@ -64,6 +66,7 @@ def same(one: Path, other: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.realtime
 def test_every_stage_alone_gives_what_run_gives(demo: Path, tmp_path: Path) -> None:
     def go(*arguments: str | Path) -> None:
         assert main([str(word) for word in arguments]) == 0
@@ -87,6 +90,7 @@ def test_every_stage_alone_gives_what_run_gives(demo: Path, tmp_path: Path) -> N
 
 
 @pytest.mark.slow
+@pytest.mark.realtime
 def test_real_mocap_goes_the_whole_way(duets: Path, tmp_path: Path) -> None:
     clip = duets / "pseudo" / "cmu_18_01_handshake_sym.npz"
     motion = read_motion(clip)

@@ -34,6 +34,7 @@ def result(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, dict]:
     return status, json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.realtime
 def test_a_servo_is_found_gets_its_place_and_comes_back(one_servo, tmp_path, capsys, monkeypatch):
     """The whole of a new servo's way: scan, setup-id, scan, restore."""
     port, _ = one_servo
@@ -60,6 +61,7 @@ def test_a_servo_is_found_gets_its_place_and_comes_back(one_servo, tmp_path, cap
     assert changed["changed"]["id"] == [24, 1]
 
 
+@pytest.mark.realtime
 def test_an_empty_rate_is_a_hardware_fault_with_a_reason(one_servo, capsys):
     status = main(["scan", "--port", one_servo[0], "--baud", "9600"])
     assert status == 3
@@ -77,6 +79,7 @@ def test_a_rate_that_does_not_exist_is_wrong_usage(one_servo, capsys):
     assert "57600" in capsys.readouterr().err
 
 
+@pytest.mark.realtime
 def test_a_joint_is_jogged_by_keys_from_a_pipe(capsys, monkeypatch):
     read, write = os.pipe()
     os.write(write, b"+" * 15 + b"q")
@@ -128,6 +131,7 @@ def test_a_unit_that_cannot_reach_as_far_as_the_dance_is_refused(tmp_path, capsy
     assert "is for 'op3'" in capsys.readouterr().err
 
 
+@pytest.mark.realtime
 def test_a_unit_is_verified_in_the_pose_it_stands_in(tmp_path, capsys):
     unit = tmp_path / "left.json"
     elbow = JointCalibration(24, "XL330-M288", 2048, 1, 1900, 3900)
@@ -140,6 +144,7 @@ def test_a_unit_is_verified_in_the_pose_it_stands_in(tmp_path, capsys):
     assert "+25." in verified["joints"][0]["problems"][0]
 
 
+@pytest.mark.realtime
 def test_a_unit_that_was_not_swept_gets_no_file(tmp_path, capsys):
     words = ["calibrate", str(tmp_path / "u.json"), "--robot", "marionette", "--joint", "l_elbow"]
     assert main([*words, "--seconds", "0.1", "--yes"]) == 2

@@ -69,6 +69,7 @@ def angles(buses: list[VirtualBus]) -> np.ndarray:
 
 
 @pytest.mark.slow
+@pytest.mark.realtime
 def test_servos_stop_when_the_player_is_killed_and_the_next_start_does_not_lunge(tmp_path):
     buses = [virtual_bus_for(robot) for robot in SMALL]
     with PtyServer(buses[0], timing=True) as a, PtyServer(buses[1], timing=True) as b:

@@ -113,6 +113,7 @@ def test_an_adapter_unplugged_in_the_middle_is_said_to_be_gone():
         scan(rig.line)
 
 
+@pytest.mark.realtime
 def test_over_a_terminal_every_servo_is_heard_at_its_own_rate_alone(tmp_path):
     """4.5 Mbit/s has no constant of its own: it must not be taken for no rate at all."""
     with PtyServer(VirtualBus([servo(1), servo(2, 4_500_000)]), link=tmp_path / "p") as server:

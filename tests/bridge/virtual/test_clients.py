@@ -11,6 +11,7 @@ import pytest
 
 from bridge.virtual import PtyServer, virtual_bus_for
 from robots.registry import load_robot
+from tests.bridge.virtual.patience import PatientPort
 
 ROBOT = load_robot("marionette")
 BAUD = ROBOT.buses["main"].baud
@@ -29,12 +30,9 @@ def wire():
 
 @pytest.fixture
 def port(wire):
-    """A stock SDK port that waits longer than 34 ms: this computer may be busy with other tests."""
-    handler = sdk.PortHandler(wire[1])
-    handler.baudrate = BAUD
+    """A port of the SDK."""
+    handler = PatientPort(wire[1], BAUD, patience=2000)
     assert handler.openPort()
-    patient = handler.setPacketTimeoutMillis
-    handler.setPacketTimeout = lambda packet_length: patient(2000)
     yield handler
     handler.closePort()
 

@@ -20,6 +20,9 @@ from bridge.virtual import PtyServer, virtual_bus_for
 from bridge.virtual.process import virtual_port
 from robots.errors import PortLost
 from robots.registry import load_robot
+from tests.bridge.virtual.patience import PatientPort
+
+pytestmark = pytest.mark.realtime
 
 ROBOT = load_robot("marionette")
 BAUD = ROBOT.buses["main"].baud
@@ -27,17 +30,40 @@ IDS = [joint.servo.id for joint in ROBOT.joints]
 
 
 @pytest.fixture
-def port(tmp_path):
-    """A stock SDK port, opened on the virtual bus by its link."""
+def link(tmp_path):
+    """The link to a virtual bus on a pseudo-terminal."""
     link = tmp_path / "puppet"
     with PtyServer(virtual_bus_for(ROBOT), link=link) as server:
-        handler = sdk.PortHandler(str(link))
-        handler.baudrate = BAUD
-        assert handler.openPort()
-        yield handler
-        handler.closePort()
+        yield link
         server.close()
     assert not link.is_symlink()
+
+
+@pytest.fixture
+def port(link):
+    """A port of the SDK, opened on the virtual bus by its link."""
+    handler = PatientPort(str(link), BAUD)
+    assert handler.openPort()
+    yield handler
+    handler.closePort()
+
+
+def eventually(true, seconds=10.0):
+    """Return whether something comes true within a time that no busy computer exceeds."""
+    limit = time.monotonic() + seconds
+    while not (held := true()) and time.monotonic() < limit:
+        time.sleep(0.01)
+    return held
+
+
+def test_the_sdks_own_patience_is_enough(link):
+    """34 ms of the wall clock: on a busy computer its user asks again, and so does this test."""
+    handler = sdk.PortHandler(str(link))
+    handler.baudrate = BAUD
+    assert handler.openPort()
+    ping = sdk.PacketHandler(2.0).ping
+    assert any(ping(handler, IDS[0]) == (1200, 0, 0) for _ in range(20))
+    handler.closePort()
 
 
 def test_the_unmodified_sdk_pings_reads_and_writes(port):
@@ -66,8 +92,7 @@ def test_the_unmodified_sdk_streams_to_all_servos(port):
     assert write.txPacket() == 0
     time.sleep(0.6)
     for transfer in (read.txRxPacket, read.fastSyncRead):
-        # The stock client gives up after 34 ms, whatever else this computer is busy with.
-        assert any(transfer() == 0 for _ in range(10))
+        assert transfer() == 0
         for servo_id in IDS:
             assert abs(read.getData(servo_id, 132, 4) - goals[servo_id]) <= 2
 
@@ -90,13 +115,11 @@ def test_a_link_does_not_replace_a_file(tmp_path):
 
 def test_a_bus_in_its_own_process_ends_with_its_user():
     with virtual_port(ROBOT, "main") as port:
-        handler = sdk.PortHandler(port)
-        handler.baudrate = BAUD
+        handler = PatientPort(port, BAUD)
         assert handler.openPort()
         assert sdk.PacketHandler(2.0).ping(handler, IDS[0])[:2] == (1200, 0)
         handler.closePort()
-    time.sleep(0.1)
-    assert not os.path.exists(port)
+    assert eventually(lambda: not os.path.exists(port))
 
 
 def test_a_duet_on_two_pseudo_terminals_keeps_real_time():
