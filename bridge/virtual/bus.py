@@ -23,8 +23,10 @@ from bridge.servo import packets
 from bridge.servo.packets import Packet, Parser
 from bridge.servo.registers import BAUD_RATES, RETURN_DELAY_UNIT
 from bridge.virtual.faults import FaultPlan
+from bridge.virtual.line_faults import LineFaults, Timed, collide
 from bridge.virtual.plant import Plant
 from bridge.virtual.servo import VirtualServo
+from bridge.virtual.servo_faults import ServoFaults
 
 SILENCE = 0.05
 """Silence after which half a packet is forgotten, s."""
@@ -33,8 +35,6 @@ ABSENT_WAIT = 0.0005
 CLEAR_KEY = b"\x01\x44\x58\x4c\x22"
 """Parameters of the one Clear that exists: the multi-turn position."""
 
-Timed = list[tuple[float, bytes]]
-"""Bytes with the time at which they have arrived."""
 Request = tuple[int, int, int]
 """Servo id, address and length of one part of a sync or bulk read."""
 Hearing = list[VirtualServo]
@@ -55,7 +55,7 @@ class VirtualBus:
         """Connect servos.
 
         Args:
-            servos: In any order. Two with the same id both answer, as on a real bus.
+            servos: In any order. Two with the same id both answer, at once, as on a real bus.
             baud: bit/s for the wire's timing; ``None`` for an infinitely fast wire.
             faults: What goes wrong.
             plant: The body that all the servos move together; ``None`` if each turns for itself.
@@ -64,6 +64,8 @@ class VirtualBus:
         self.baud = baud
         self.faults = faults or FaultPlan()
         self.plant = plant
+        self._line = LineFaults(self.faults)
+        self._mishaps = ServoFaults(self.faults, self.servos)
         self.instructions = 0
         """Instruction packets understood so far."""
         self._parser = Parser()
@@ -94,10 +96,15 @@ class VirtualBus:
 
     def advance(self, now: float) -> None:
         """Let time pass for all servos and faults."""
-        for servo_id, bit in self.faults.hardware(now):
-            for servo in self.servos:
-                if servo_id in (None, servo.id):
-                    servo.trip(bit)
+        if self.faults.faults:
+            for when, index, begins in self._mishaps.changes(now):
+                self._move(when)
+                self._mishaps.change(when, index, begins)
+        self._move(now)
+
+    def _move(self, now: float) -> None:
+        for twin in self._mishaps.twins:
+            twin.advance(now)
         if self.plant is not None:
             self.plant.advance(now)
             return
@@ -119,8 +126,9 @@ class VirtualBus:
         self._heard = now
         self._line_baud = baud
         answers: Timed = []
+        sent = max(now, self._free) + self._duration(len(data))
         for packet in self._parser.feed(data):
-            if packet.code == packets.STATUS or self.faults.deaf(now):
+            if packet.code == packets.STATUS:
                 continue
             heard = max(now, self._free) + self._duration(packet.size)
             self._free = heard
@@ -130,6 +138,8 @@ class VirtualBus:
             for servo in hearing:
                 servo.hear(now)
             answers += self._handlers.get(packet.code, self._single)(now, packet, hearing)
+        if self.faults.faults:
+            answers = self._line.deliver(now, data, sent, answers, self._duration(1))
         return answers
 
     # -- who hears, who answers, when -------------------------------------------------------------
@@ -138,15 +148,19 @@ class VirtualBus:
         return size * 10 / self.baud if self.baud else 0.0
 
     def _hearing(self, now: float) -> Hearing:
-        """Return the servos that hear a packet now: awake, at its rate, and not silent."""
-        rate = self._line_baud
+        """Return the servos that hear a packet now: awake, at its rate, and not cut off."""
+        rate, faults = self._line_baud, self.faults
+        every = [*self.servos, *self._mishaps.twins] if faults.faults else self.servos
         servos = [
             servo
-            for servo in self.servos
+            for servo in every
             if now >= servo.boots_at and (rate is None or rate == BAUD_RATES[servo.baud_index])
         ]
-        if self.faults.faults:
-            servos = [servo for servo in servos if not self.faults.silent(now, servo.id)]
+        if faults.faults:
+            lost = [fault.servo_id for fault in faults.of("deaf", now) if faults.chance(fault)]
+            lost += [fault.servo_id for fault in faults.of("silence", now)]
+            if lost:
+                servos = [s for s in servos if None not in lost and s.id not in lost]
         return servos
 
     def _status(
@@ -156,20 +170,44 @@ class VirtualBus:
         servo_id = servo.id if answer_as < 0 else answer_as
         packet = packets.status(servo_id, error | servo.alert, data)
         delay = servo.return_delay * RETURN_DELAY_UNIT
+        if self.faults.faults:
+            delay += self._line.lateness(now, servo.id)
         self._free = max(self._free, now) + delay + self._duration(len(packet))
-        spoilt = self.faults.spoil(now, servo.id, packet)
-        return [(self._free, spoilt)] if spoilt else []
+        if self.faults.faults:
+            packet = self._line.answer(now, servo.id, packet)
+        return [(self._free, packet)] if packet else []
+
+    def _statuses(
+        self, now: float, answers: list[tuple[VirtualServo, int, bytes]], answer_as: int = -1
+    ) -> Timed:
+        """Return what is heard of servos that answer to one id: of several, all at once."""
+        if not answers:
+            return []
+        if len(answers) == 1:
+            return self._status(now, *answers[0], answer_as=answer_as)
+        free, byte = max(self._free, now), self._duration(1)
+        pieces: Timed = []
+        ends = [free]
+        for servo, error, data in answers:
+            self._free = free
+            pieces += [
+                (end - len(packet) * byte, packet)
+                for end, packet in self._status(now, servo, error, data, answer_as=answer_as)
+            ]
+            ends.append(self._free)
+        self._free = max(ends)
+        return collide(pieces, byte)
 
     # -- instructions -----------------------------------------------------------------------------
 
     def _ping(self, now: float, packet: Packet, hearing: Hearing) -> Timed:
         answers: Timed = []
-        broadcast = packet.servo_id == packets.BROADCAST
-        for servo in sorted(_addressed(packet.servo_id, hearing), key=lambda servo: servo.id):
-            number = servo.memory.get("model_number").to_bytes(2, "little")
-            data = number + bytes((servo.memory.get("firmware_version"),))
-            answer_as = -1 if broadcast else packet.servo_id
-            answers += self._status(now, servo, 0, data, answer_as=answer_as)
+        everybody = packet.servo_id == packets.BROADCAST
+        called = _addressed(packet.servo_id, hearing)
+        groups = sorted(_by_id(called).items()) if everybody else [(packet.servo_id, called)]
+        for servo_id, servos in groups:
+            said = [(servo, 0, _introduction(servo)) for servo in servos]
+            answers += self._statuses(now, said, answer_as=servo_id)
         return answers
 
     def _action(self, now: float, packet: Packet, hearing: Hearing) -> Timed:
@@ -227,13 +265,13 @@ class VirtualBus:
         level: int,
     ) -> Timed:
         """Act on every addressed servo; answer if its Status Return Level is ``level`` or more."""
-        answers: Timed = []
+        said: list[tuple[VirtualServo, int, bytes]] = []
         for servo in _addressed(packet.servo_id, hearing):
             answering = servo.return_level >= level
             error, data = act(servo)
             if answering and packet.servo_id != packets.BROADCAST:
-                answers += self._status(now, servo, error, data, answer_as=packet.servo_id)
-        return answers
+                said.append((servo, error, data))
+        return self._statuses(now, said, answer_as=packet.servo_id)
 
     def _sync_read(self, now: float, packet: Packet, hearing: Hearing) -> Timed:
         params = packet.params
@@ -264,10 +302,12 @@ class VirtualBus:
             if present is None:
                 self._free += ABSENT_WAIT
                 continue
-            for servo in present:
-                if servo.return_level >= 1:
-                    error, data = servo.read(address, length)
-                    answers += self._status(now, servo, error, data)
+            said = [
+                (servo, *servo.read(address, length))
+                for servo in present
+                if servo.return_level >= 1
+            ]
+            answers += self._statuses(now, said)
         return answers
 
     def _read_fast(self, now: float, requests: list[Request], hearing: Hearing) -> Timed:
@@ -289,10 +329,21 @@ class VirtualBus:
         missing = len(requests) - len(entries)
         filler = [(0, 0, bytes(length)) for _, _, length in requests[-missing:]] if missing else []
         pieces = packets.fast_status(entries + filler)[: 1 + len(entries)]
-        packet = b"".join(pieces) if whole or entries else b""
-        delay *= RETURN_DELAY_UNIT
-        self._free = max(self._free, now) + delay + self._duration(len(packet))
-        packet = self.faults.spoil(now, packets.BROADCAST, packet) if packet else packet
+        for at, (_, servo_id, _) in enumerate(entries):
+            for other in servos[servo_id][1:]:  # of the same id: both send their part at once
+                error, data = other.read(*requests[at][1:])
+                theirs = [*entries[:at], (error | other.alert, servo_id, data)]
+                part = packets.fast_status(theirs + filler)[at + 1]
+                pieces[at + 1] = bytes(a & b for a, b in zip(pieces[at + 1], part, strict=True))
+        late = delay * RETURN_DELAY_UNIT
+        size = sum(map(len, pieces)) if whole or entries else 0
+        packet = b"".join(pieces) if size else b""
+        if self.faults.faults and size:
+            ids = [servo_id for _, servo_id, _ in entries]
+            late += self._line.lateness(now, *ids)
+            parts = [b"".join(pieces[:2]), *pieces[2:]]
+            packet = self._line.chain(now, list(zip(ids, parts, strict=True)))
+        self._free = max(self._free, now) + late + self._duration(size)
         return [(self._free, packet)] if packet else []
 
     def _sync_write(self, now: float, packet: Packet, hearing: Hearing) -> Timed:
@@ -319,6 +370,12 @@ class VirtualBus:
                     servo.write(_word(params, at + 1), data)
             at += 5 + length
         return []
+
+
+def _introduction(servo: VirtualServo) -> bytes:
+    """Return what a servo says of itself in answer to a ping: model number and firmware."""
+    number = servo.memory.get("model_number").to_bytes(2, "little")
+    return number + bytes((servo.memory.get("firmware_version"),))
 
 
 def _by_id(hearing: Hearing) -> dict[int, Hearing]:

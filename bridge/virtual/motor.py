@@ -98,6 +98,10 @@ class Motor:
     """degC."""
     error_sum: float = 0.0
     """tick, the I term's memory."""
+    ambient: float = AMBIENT
+    """Temperature of the air around it, degC."""
+    stuck: bool = False
+    """Whether something holds the horn where it is."""
 
     def control(self, error: float, p: int, i: int, limit: float) -> float:
         """Return the duty for a position error in rad, within +-``limit``."""
@@ -121,8 +125,11 @@ class Motor:
             dt: s.
         """
         self.duty = duty
-        drive = duty * supply - self.velocity / self.no_load_speed
-        self.current = drive
+        if self.stuck:
+            self.velocity = 0.0
+            load = drive = self.current = duty * supply
+        else:
+            drive = self.current = duty * supply - self.velocity / self.no_load_speed
         acceleration = (drive - load) * self.no_load_speed / MECHANICAL_TIME
         self.velocity += acceleration * dt
         self.angle += self.velocity * dt
@@ -131,18 +138,18 @@ class Motor:
     def coast(self, dt: float) -> None:
         """Advance by ``dt`` s without torque: the gearbox stops the horn and holds it."""
         self.duty = self.current = self.error_sum = 0.0
-        self.velocity *= math.exp(-dt / FRICTION_TIME)
+        self.velocity *= 0.0 if self.stuck else math.exp(-dt / FRICTION_TIME)
         self.angle += self.velocity * dt
         self.warm(dt)
 
     def warm(self, dt: float) -> None:
         """Advance only the temperature by ``dt`` s, under the present current."""
-        heat = STALL_HEAT * self.current * self.current - (self.temperature - AMBIENT)
+        heat = STALL_HEAT * self.current * self.current - (self.temperature - self.ambient)
         self.temperature += heat * dt / THERMAL_TIME
 
     def rest(self, dt: float) -> None:
         """Advance only the temperature by ``dt`` s: nothing moves and the current stays."""
-        goal = AMBIENT + STALL_HEAT * self.current**2
+        goal = self.ambient + STALL_HEAT * self.current**2
         self.temperature += (goal - self.temperature) * (1 - math.exp(-dt / THERMAL_TIME))
 
     def brake(self) -> None:

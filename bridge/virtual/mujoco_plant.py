@@ -45,6 +45,8 @@ from robots.errors import SimDiverged, SpecError
 from robots.mjcf import load_mjspec
 from robots.spec import RobotSpec, ServoSpec
 
+GRIP = 1e3
+"""Friction of a joint that is held, N m: more than any servo here pulls with."""
 SUBSTEPS = 2
 """Steps of MuJoCo in a step of the servos: 1 kHz."""
 TURN = 2 * math.pi
@@ -105,6 +107,7 @@ class MujocoPlant:
         self._torque = self._gear * stall
         self._back_emf = self._gear**2 * stall / speed
         self._damping = np.array(self.model.dof_damping[self._dof])
+        self._friction = np.array(self.model.dof_frictionloss[self._dof])
         self._turns = np.zeros(len(specs))
         self._seen: list[float] = []
         self._time = 0.0
@@ -143,6 +146,8 @@ class MujocoPlant:
             self._take_over(angles)
         driven = np.array([motor.driven for motor in motors])
         self.model.dof_damping[self._dof] = np.where(driven, self._back_emf, self._damping)
+        stuck = np.array([motor.stuck for motor in motors])
+        self.model.dof_frictionloss[self._dof] = np.where(stuck, GRIP, self._friction)
         data.qfrc_applied[self._dof] = self._torque * [motor.effort for motor in motors]
         mujoco.mj_step(self.model, data, SUBSTEPS)
         if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:

@@ -8,6 +8,7 @@ import errno
 import fcntl
 import heapq
 import logging
+import math
 import os
 import select
 import sys
@@ -49,7 +50,9 @@ class PtyServer:
     """A virtual bus on a pseudo-terminal.
 
     As a context manager it serves from a thread; :meth:`serve` does so in the calling one. The
-    client's rate is read from the terminal: servos set to another one hear nothing.
+    client's rate is read from the terminal: servos set to another one hear nothing. Faults' times
+    count from the moment at which the server is made. When the adapter is unplugged clients are
+    hung up on and the link is gone; plugged in again it is another terminal under the same link.
     """
 
     def __init__(
@@ -74,18 +77,12 @@ class PtyServer:
         self._stop_read, self._stop_write = os.pipe()
         self._thread: threading.Thread | None = None
         self._closed = False
-        try:
-            self._master, self._slave = os.openpty()
-        except OSError as error:
-            raise PortLost(f"no pseudo-terminal: {error.strerror}", where="virtual bus") from error
-        # The slave stays open here, so that clients may come and go without a hang-up.
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        self.path = os.ttyname(self._slave)
+        self._master = self._slave = -1
+        self.path = ""
         """Device file of the terminal."""
         self.link = Path(link) if link is not None else None
-        if self.link is not None:
-            self._make_link(self.link)
+        bus.faults.origin = self._opened = time.monotonic()
+        self._plug_in()
 
     @property
     def port(self) -> str:
@@ -111,17 +108,13 @@ class PtyServer:
         """Serve until :meth:`stop` is called from another thread or a signal handler."""
         while True:
             # select, not poll: its timeout is not rounded up to milliseconds.
-            wait = IDLE if self.bus.plant is not None and self.bus.instructions else None
-            if self._due:
-                wait = max(0.0, self._handed_over() - WAKE - time.monotonic())
-            ready, _, _ = select.select((self._master, self._stop_read), (), (), wait)
+            ports = (self._stop_read,) if self._master < 0 else (self._master, self._stop_read)
+            ready, _, _ = select.select(ports, (), (), self._wait())
             if self._stop_read in ready:
                 return
             now = time.monotonic()
-            if self.bus.faults.unplugged(now):
-                log.warning("%s: the virtual adapter is unplugged", self.port)
-                self._hang_up()
-                return
+            if self.bus.faults.faults and self._is_away(now):
+                continue
             if self._master in ready:
                 self._receive(now)
             elif self._due and now < self._handed_over():
@@ -129,6 +122,29 @@ class PtyServer:
             elif not self._due:
                 self.bus.advance(now)
             self._send(time.monotonic())
+
+    def _wait(self) -> float | None:
+        """Return how long to sleep at most if nothing arrives, s."""
+        if self._master < 0:
+            return IDLE
+        if self._due:
+            return max(0.0, self._handed_over() - WAKE - time.monotonic())
+        if self.bus.plant is not None and self.bus.instructions:
+            return IDLE
+        now = time.monotonic()
+        away = self.bus.faults.next_unplug(now) if self.bus.faults.faults else math.inf
+        return max(0.0, away - now) if math.isfinite(away) else None
+
+    def _is_away(self, now: float) -> bool:
+        """Hang up or come back as the faults say; return whether the adapter is unplugged."""
+        faults = self.bus.faults
+        if self._master >= 0 and faults.unplugged(self._opened, now):
+            log.warning("%s: the virtual adapter is unplugged", self.port)
+            self._hang_up()
+        if self._master < 0 and not faults.unplugged(now, now):
+            self._plug_in()
+            log.warning("%s: the virtual adapter is plugged in again", self.port)
+        return self._master < 0
 
     def stop(self) -> None:
         """Make :meth:`serve` return."""
@@ -146,11 +162,25 @@ class PtyServer:
         self._hang_up()
         for fd in (self._stop_read, self._stop_write):
             os.close(fd)
+
+    def _plug_in(self) -> None:
+        try:
+            self._master, self._slave = os.openpty()
+        except OSError as error:
+            raise PortLost(f"no pseudo-terminal: {error.strerror}", where="virtual bus") from error
+        # The slave stays open here, so that clients may come and go without a hang-up.
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.path = os.ttyname(self._slave)
+        self._opened = time.monotonic()
+        if self.link is not None:
+            self._make_link(self.link)
+
+    def _hang_up(self) -> None:
         link = self.link
         if link is not None and link.is_symlink() and os.readlink(link) == self.path:
             link.unlink()
-
-    def _hang_up(self) -> None:
+        self._due.clear()
         for name in ("_master", "_slave"):
             fd = getattr(self, name)
             if fd >= 0:

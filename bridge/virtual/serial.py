@@ -30,6 +30,7 @@ class VirtualSerial:
         self.baudrate = baudrate
         self.timeout = timeout
         self.is_open = True
+        self._opened = clock.now()
         self._due: deque[tuple[float, bytes]] = deque()
         self._received = bytearray()
 
@@ -76,5 +77,6 @@ class VirtualSerial:
             self._received += self._due.popleft()[1]
 
     def _require_plugged(self) -> None:
-        if not self.is_open or self.bus.faults.unplugged(self.clock.now()):
+        # A port that was unplugged stays dead; the one that is opened afterwards is another.
+        if not self.is_open or self.bus.faults.unplugged(self._opened, self.clock.now()):
             raise OSError(errno.EIO, "Input/output error")

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from bridge.servo.bus import WATCHDOG_FIRMWARE
 from bridge.servo.packets import (
     ALERT,
     ERROR_ACCESS,
@@ -42,6 +43,8 @@ OVERLOAD_TIME = 2.0
 BOOT_TIME = 0.2
 """s without an answer after a reboot."""
 
+SINCE = {"bus_watchdog": WATCHDOG_FIRMWARE}
+"""First firmware that has a register, where not all have it."""
 GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
 
 
@@ -274,6 +277,8 @@ class VirtualServo:
             return ERROR_ACCESS
         if name in GOALS and self.memory.get("bus_watchdog") == WATCHDOG_TRIPPED:
             return ERROR_RANGE
+        if name in SINCE and self.memory.cells[self._firmware_at] < SINCE[name]:
+            return ERROR_ACCESS
         if register.values is not None:
             return 0 if value in register.values else ERROR_RANGE
         low, high = register.min, register.max

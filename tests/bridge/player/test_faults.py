@@ -53,7 +53,7 @@ def test_a_servo_that_dies_freezes_both_robots_and_relaxes_them(tmp_path):
 
 def test_a_hardware_alert_stops_both_robots_and_names_joint_and_cause():
     joint = ROBOTS[0].joints[7]
-    fault = Fault("hardware", start=fault_time(0.3), servo_id=joint.servo.id, bit=5)
+    fault = Fault("hardware", start=fault_time(0.3), servo_id=joint.servo.id, value=5)
     stage = Stage(fault)
     with pytest.raises(ServoFault, match=rf"{joint.name}.*overload"):
         stage.play()

@@ -116,7 +116,7 @@ def test_the_goal_never_runs_far_ahead_of_a_joint_that_is_held():
 
 
 def test_a_fault_ends_it_limp_and_names_the_joint():
-    bench = Bench(Fault("hardware", start=1.6, servo_id=JOINT.servo.id, bit=5))
+    bench = Bench(Fault("hardware", start=1.6, servo_id=JOINT.servo.id, value=5))
     with pytest.raises(ServoFault, match=r"l_elbow.*overload"):
         bench.jog(bench.keys(UP, 5.0))
     assert bench.servo.get("torque_enable") == 0

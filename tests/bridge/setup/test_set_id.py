@@ -75,7 +75,7 @@ def test_several_servos_are_refused_and_named():
 
 
 def test_a_clash_is_not_one_servo():
-    rig = Rig([servo(1), servo(1)])
+    rig = Rig([servo(1), servo(1, angle=0.7)])
     with pytest.raises(ServoFault, match="alone"):
         only_servo(scan(rig.line))
 

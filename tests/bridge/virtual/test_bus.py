@@ -146,8 +146,8 @@ def test_unknown_instructions_are_refused_by_name():
     assert answer.params[0] == packets.ERROR_INSTRUCTION
 
 
-def test_two_servos_with_one_id_both_answer():
-    assert len(ask(bus(1, 1), instruction(1, packets.PING))) == 2
+def test_two_equal_servos_with_one_id_are_heard_as_one():
+    assert len(ask(bus(1, 1), instruction(1, packets.PING))) == 1
 
 
 def test_servos_set_to_another_rate_hear_nothing():
@@ -207,7 +207,7 @@ def test_a_silent_servo_neither_hears_nor_answers():
 
 
 def test_a_planned_hardware_error_comes_once():
-    wire = bus(1, faults=FaultPlan([Fault("hardware", start=1.0, servo_id=1, bit=2)]))
+    wire = bus(1, faults=FaultPlan([Fault("hardware", start=1.0, servo_id=1, value=2)]))
     wire.feed(1.5, instruction(1, packets.PING))
     assert wire.servo(1).get("hardware_error_status") == 4
     ask(wire, instruction(1, packets.REBOOT), now=1.6)
