@@ -15,19 +15,29 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robots.errors import GateRefused
 
 if TYPE_CHECKING:
-    from bridge.player import Verdict
     from bridge.trajectory import JointTrajectory
 
 RETARGETING = "retargeting.json"
 """File beside the trajectories that vouches for them."""
 PEOPLE = ("a", "b")
 AGAIN = "run 'pasdedeux retarget' again, and do not change its files"
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What is known about a performance before it begins."""
+
+    passed: bool
+    """Whether it is plausible."""
+    overlap_mm: float = 0.0
+    """How deep these two robots would be in each other, mm."""
 
 
 def vouch(trajectories: Sequence[JointTrajectory]) -> dict[str, Any]:
@@ -50,7 +60,6 @@ def verdict(
         GateRefused: The report speaks of another motion, or a trajectory is not what was written
             when the motion was retargeted.
     """
-    from bridge.player import Verdict
     from sim.report import Report
 
     if report is None:

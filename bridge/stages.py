@@ -9,17 +9,15 @@ from __future__ import annotations
 import re
 import threading
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bridge.gate import RETARGETING, verdict, vouch
+from bridge.gate import RETARGETING, vouch
 from bridge.sources import (
     FROM_FILE,
     ROLLOUT_SCHEMA,
     MotionRequest,
     judged_hash,
-    load_robots,
     read,
     schema_of,
 )
@@ -246,10 +244,11 @@ def play(
     without: Sequence[str] = (),
     write_eeprom: bool = False,
     calibrations: tuple[Path | None, Path | None] = (None, None),
+    realtime: bool = False,
     stop: threading.Event | None = None,
     progress: Progress = no_progress,
 ) -> Performance:
-    """Perform two trajectory files; write ``telemetry.jsonl`` and return how it went.
+    """Perform two trajectory files in a process of its own; return how it went.
 
     Args:
         trajectories: Of persons a and b.
@@ -266,6 +265,7 @@ def play(
         without: Joints that do not.
         write_eeprom: Make real servos' EEPROM what the robot's file says, after a backup.
         calibrations: Files of the units that play; ``None``: built just as designed.
+        realtime: Ask the system for real-time priority.
         stop: Ends the performance when set.
         progress: Told the share done.
 
@@ -276,36 +276,31 @@ def play(
             unknown or not installed; a calibration is of another robot.
         BusError: A servo bus failed.
     """
-    from bridge import player
-    from bridge.ports import VIRTUAL, connect
-    from bridge.setup.calibration import Calibration
-    from bridge.trajectory import JointTrajectory
+    from bridge.player.process import conduct
+    from bridge.player.request import PlayRequest
+    from bridge.player.settings import PlayerSettings
 
-    if plant != PLANTS[0] and set(ports) != {VIRTUAL}:
-        raise SpecError(f"plant '{plant}'", where=", ".join(ports), allowed="virtual ports alone")
-
-    loaded = [JointTrajectory.load(path) for path in trajectories]
-    named = [given or t.robot for given, t in zip(robots, loaded, strict=True)]
-    designs = load_robots(named[0], named[1])
-    units = [
-        design if path is None else Calibration.load(path).apply(design)
-        for design, path in zip(designs, calibrations, strict=True)
-    ]
-    return player.play(
-        loaded,
-        units,
-        gate=verdict(report, trajectories, loaded),
+    request = PlayRequest(
+        trajectories=trajectories,
+        telemetry=telemetry,
+        report=report,
+        robots=robots,
         ports=ports,
-        settings=settings,
+        plant=plant,
+        transport=transport,
+        settings=settings or PlayerSettings(),
         arm=arm,
         force=force,
-        only=only,
-        without=without,
+        only=None if only is None else tuple(only),
+        without=tuple(without),
         write_eeprom=write_eeprom,
-        telemetry=telemetry,
-        on_progress=lambda state, share: progress(share) if state == "PLAY" else None,
+        calibrations=calibrations,
+        realtime=realtime,
+    )
+    return conduct(
+        request,
         stop=stop,
-        connector=partial(connect, plant=plant, transport=transport),
+        on_progress=lambda state, share: progress(share) if state == "PLAY" else None,
     )
 
 

@@ -55,6 +55,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="make real servos' EEPROM what the robot's file says, after a backup",
     )
+    parser.add_argument(
+        "--realtime",
+        action="store_true",
+        help="ask the system for real-time priority, for real servos on a machine with other work",
+    )
     parser.add_argument("--rate", type=float, help="ticks per second (default 60)")
     parser.add_argument("--robot-a", metavar="NAME", help="folder of a's robot, if not built in")
     parser.add_argument("--robot-b", metavar="NAME", help="folder of b's robot, if not built in")
@@ -90,6 +95,7 @@ def execute(args: argparse.Namespace, console: Console) -> int:
             without=args.without,
             write_eeprom=args.write_eeprom,
             calibrations=(args.calibration_a, args.calibration_b),
+            realtime=args.realtime,
             stop=stop,
             progress=progress,
         )

@@ -24,9 +24,9 @@ from __future__ import annotations
 import threading
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 
+from bridge.gate import Verdict
 from bridge.plan import plan, select
 from bridge.player.performer import Performer
 from bridge.player.puppet import Puppet
@@ -45,16 +45,6 @@ BACKUPS = Path("servo-backups")
 """Folder for what servos' EEPROM held before it was written."""
 MAX_OVERLAP_MM = 5.0
 """Deepest overlap of the robots that metal gives way to, mm: a touch of hands, no more."""
-
-
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """What is known about a performance before it begins."""
-
-    passed: bool
-    """Whether it is plausible."""
-    overlap_mm: float = 0.0
-    """How deep these two robots would be in each other, mm."""
 
 
 def play(

@@ -11,7 +11,7 @@ import json
 import logging
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
@@ -20,6 +20,7 @@ import numpy as np
 
 from bridge.servo.state import ServoState
 from robots.errors import MotionFileError
+from robots.files import plain
 from robots.skeleton import FloatArray
 
 log = logging.getLogger(__name__)
@@ -215,15 +216,23 @@ class Performance:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values; not-a-number becomes ``None``."""
-        return _plain(asdict(self))
+        return plain(self)
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Performance:
+        """Return what :meth:`to_json` told of.
+
+        Raises:
+            TypeError: It is something else.
+        """
+        numbers = _known(values)
+        numbers["tracking"] = {p: Tracking(**_known(t)) for p, t in values["tracking"].items()}
+        return cls(**numbers)
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+def _known(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return JSON values with not-a-number where they say ``None``."""
+    return {name: math.nan if value is None else value for name, value in values.items()}
 
 
 def track(

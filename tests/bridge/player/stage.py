@@ -9,14 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
+from bridge.gate import RETARGETING, vouch
 from bridge.player import PlayerSettings, Verdict, play
 from bridge.player.telemetry import read_telemetry
 from bridge.servo.clock import VirtualClock
 from bridge.servo.sdk_transport import SdkTransport
 from bridge.trajectory import JointTrajectory
 from bridge.virtual import Fault, FaultPlan, VirtualBus, VirtualSerial, virtual_bus_for
+from robots.files import write_json
 from robots.registry import load_robot
 from robots.spec import RobotSpec
+from sim.report import Report
 
 ROBOTS = (load_robot("op3"), load_robot("marionette"))
 SMALL = tuple(dataclasses.replace(robot, joints=robot.joints[:3]) for robot in ROBOTS)
@@ -49,6 +52,32 @@ def dances(robots: Sequence[RobotSpec]) -> tuple[JointTrajectory, JointTrajector
 
 
 DANCES = dances(ROBOTS)
+
+
+FEW = tuple(name for name in ROBOTS[0].joint_names if name in ROBOTS[1].joint_names)[:3]
+"""Joints of both that play where only a few shall: ``only`` of a performance by files."""
+
+
+def write_duet(folder: Path, *, duration: float = 1.0) -> tuple[Path, Path, Path]:
+    """Write what ``retarget`` and ``score`` leave; return trajectories of a and b, and report."""
+    told = [
+        dataclasses.replace(dance(robot, duration=duration), metadata={"motion_sha256": "f00d"})
+        for robot in ROBOTS
+    ]
+    a, b = (folder / f"trajectory-{person}.npz" for person in "ab")
+    for path, track in zip((a, b), told, strict=True):
+        track.save(path)
+    write_json(folder / RETARGETING, {"penetration_max_mm": 0.0, **vouch(told)})
+    Report(
+        kind="tracked",
+        score=100.0,
+        metrics=(),
+        text="they sway",
+        licence="CC0-1.0",
+        duration=duration,
+        input_sha256="f00d",
+    ).save(folder / "report.json")
+    return a, b, folder / "report.json"
 
 
 class Stage:
