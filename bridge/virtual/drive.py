@@ -137,6 +137,7 @@ class Drive:
                 and abs(self.motor.velocity) < 1e-7
                 and self.profile.velocity == 0.0
                 and load is None
+                and not self.motor.stuck
                 and self.motor.error_sum == 0.0
             ):
                 self._still = True

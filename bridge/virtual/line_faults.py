@@ -111,10 +111,13 @@ class LineFaults:
                 self._kept.append(data)
             elif data:
                 arriving.append((due, data))
-        for at in range(len(arriving) - 1):
+        at = 0
+        while at < len(arriving) - 1:
             (due, data), (later, other) = arriving[at : at + 2]
             if plan.strikes("reorder", now, _sender(data)):
                 arriving[at : at + 2] = [(due, other), (later, data)]
+                at += 1  # once is enough: it must not be led to the end
+            at += 1
         if any(plan.of("echo", now)):
             arriving.insert(0, (heard, sent))
         for index, (due, data) in enumerate(arriving):
