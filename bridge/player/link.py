@@ -25,6 +25,10 @@ SHOWN = 6
 CUT_TIMES = 3
 """How often torque-off is broadcast: nobody answers, so once may get lost."""
 
+STRENGTHS = {"goal_pwm": "pwm_limit", "goal_current": "current_limit"}
+"""Registers that bound a servo's effort, and those that hold their largest value. Goal PWM bounds
+it in every mode that follows a position, Goal Current in current-based position mode alone."""
+
 Eeprom = Literal["keep", "write", "free"]
 """What may happen to EEPROM that differs: refuse, write after a backup, or write (virtual)."""
 
@@ -43,7 +47,7 @@ class Link:
         self.lost: PortLost | None = None
         """Why the port is gone; ``None`` while it works."""
         self._next_try = 0.0
-        self._effort: list[int] | None = None
+        self._strengths: dict[str, list[int]] = {}
 
     # -- setting up -------------------------------------------------------------------------------
 
@@ -87,11 +91,20 @@ class Link:
             self._write_eeprom(backups)
         self.bus.configure()
         self.health = Health(self.bus)
-        registers = self.bus.registers
-        tables = self.bus.tables
-        if all("goal_pwm" in t and t["goal_pwm"] == tables[0]["goal_pwm"] for t in tables):
-            count = range(len(tables))
-            self._effort = [registers.read(index, "pwm_limit") for index in count]
+        self._strengths = {
+            name: [self.bus.registers.read(index, limit) for index in range(len(self.bus.ids))]
+            for name, limit in STRENGTHS.items()
+            if self._bounds(name)
+        }
+
+    def _bounds(self, name: str) -> bool:
+        """Whether a register bounds the effort of the servos here and can be written at once."""
+        if name == "goal_current":
+            modes = {joint.servo.mode for joint in self.bus.joints}
+            if "current_based_position" not in modes:
+                return False
+        places = {(t[name].address, t[name].length) if name in t else None for t in self.bus.tables}
+        return len(places) == 1 and None not in places
 
     def _write_eeprom(self, backups: Path) -> None:
         from bridge.setup.backup import change
@@ -167,13 +180,12 @@ class Link:
     @property
     def yields(self) -> bool:
         """Whether the servos' strength can be set."""
-        return self._effort is not None
+        return bool(self._strengths)
 
     def exert(self, share: float) -> None:
-        """Set the servos' strength: Goal PWM as a share of PWM Limit."""
-        effort = self._effort
-        if effort is not None:
-            self.bus.registers.write_all("goal_pwm", [round(share * most) for most in effort])
+        """Set the servos' strength as a share of the most, see :data:`STRENGTHS`."""
+        for name, most in self._strengths.items():
+            self.bus.registers.write_all(name, [round(share * value) for value in most])
 
     def cut(self) -> None:
         """Broadcast torque off, a few times; whatever hears on this wire obeys."""
@@ -197,8 +209,8 @@ class Link:
             return errors
         try:
             self.bus.watchdog(0)
-            if self._effort is not None:
-                self.bus.registers.ensure("goal_pwm", self._effort)
+            for name, most in self._strengths.items():
+                self.bus.registers.ensure(name, most)
         except BusError as error:
             log.warning("some registers stay set: %s", error)
         return []

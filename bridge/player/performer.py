@@ -156,25 +156,31 @@ class Performer:
 
     def _perform(self) -> str:
         settings, streamer = self.settings, self.streamer
-        moves: list[tuple[FloatArray, FloatArray]] = []
-        duration = settings.ramp_time
-        for puppet in self.puppets:
-            start, first = puppet.asked.copy(), puppet.part.trajectory.position[0]
-            fastest = puppet.part.robot.max_velocity * settings.ramp_speed
-            duration = max(duration, ramp_time(start, first, fastest, settings.ramp_time))
-            moves.append((start, first))
-        ramps = [Ramp(start, first, duration) for start, first in moves]
+        firsts = [puppet.part.trajectory.position[0] for puppet in self.puppets]
         dance = [self._path(puppet) for puppet in self.puppets]
-        through = streamer.lead("RAMP", ramps, duration) and streamer.lead(
+        through = self._go("RAMP", firsts) and streamer.lead(
             "PLAY", dance, self.duration, settings.speed
         )
         if through:
             streamer.lead("SETTLE", streamer.still(), settings.settle_time)
+            if settings.end == "rest":
+                through = self._go("REST", [puppet.part.robot.rest for puppet in self.puppets])
+        if through:
             return "completed"
         streamer.lead("HOLD", streamer.still(), settings.hold_time)
         if streamer.unfit is not None:
             raise streamer.unfit
         return "stopped"
+
+    def _go(self, state: str, poses: Sequence[FloatArray]) -> bool:
+        """Lead both robots softly to poses ``[D]`` rad; return whether they got there."""
+        settings, duration = self.settings, self.settings.ramp_time
+        starts = [puppet.asked.copy() for puppet in self.puppets]
+        for puppet, start, pose in zip(self.puppets, starts, poses, strict=True):
+            fastest = puppet.part.robot.max_velocity * settings.ramp_speed
+            duration = max(duration, ramp_time(start, pose, fastest, settings.ramp_time))
+        ways = [Ramp(start, pose, duration) for start, pose in zip(starts, poses, strict=True)]
+        return self.streamer.lead(state, ways, duration)
 
     def _path(self, puppet: Puppet) -> SmoothPath:
         robot = puppet.part.robot

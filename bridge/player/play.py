@@ -10,6 +10,7 @@ skipped::
     RAMP        minimum jerk from where they stand to the first pose
     PLAY        goals at absolute times t0 + k dt, both robots from one phase
     SETTLE      the last goal is held until the servos have arrived
+    REST        minimum jerk to the rest pose, unless the last one shall be held
     RELAX       strength fades, then torque off, on every servo, whatever fails
 
 A stop follows the path with falling speed, then HOLD, then RELAX; a second stop relaxes at once, a

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal, get_args
 
-from robots.errors import SpecError
+from robots.errors import SpecError, nearest
+
+End = Literal["rest", "hold"]
+"""Where robots end after the dance, before they relax: in their rest pose, or in its last one."""
+ENDS: tuple[End, ...] = get_args(End)
 
 DEFAULT_RATE = 60.0
 """Ticks per second that two cores keep up even with two virtual buses beside; twice the frame rate
@@ -30,6 +35,9 @@ class PlayerSettings:
     """Share of a joint's no-load speed that the ramp may reach."""
     settle_time: float = 0.5
     """How long the last pose is held, s."""
+    end: End = "rest"
+    """Where the robots end: a raised arm that is let go of falls. After a stop they are always let
+    go of where it left them: whoever stops a robot does not want it to move on."""
     stop_time: float = 0.5
     """Time in which a stop slows down, s."""
     hold_time: float = 0.5
@@ -68,6 +76,10 @@ class PlayerSettings:
 
     def __post_init__(self) -> None:
         """Validate."""
+        if self.end not in ENDS:
+            raise SpecError(
+                f"end '{self.end}'", allowed=", ".join(ENDS), hint=nearest(str(self.end), ENDS)
+            )
         ranges = {
             "rate": (1, 1000),
             "speed": (0.01, 4),

@@ -37,7 +37,7 @@ log = logging.getLogger(__name__)
 OnProgress = Callable[[str, float], None]
 """Called with the player's state and the share of it that is done."""
 
-FOLLOWING = ("RAMP", "PLAY", "RESUME")
+FOLLOWING = ("RAMP", "PLAY", "RESUME", "REST")
 """States in which a first stop slows down along the path."""
 CLEAR_TICKS = 5
 """Ticks with all answers after which a robot counts as recovered."""

@@ -29,6 +29,7 @@ BRISK = PlayerSettings(
     rate=50,
     ramp_time=0.5,
     settle_time=0.1,
+    end="hold",
     hold_time=0.1,
     soft_time=0.1,
     relax_time=0.1,

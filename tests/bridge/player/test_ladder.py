@@ -6,16 +6,18 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from bridge.player import StopRequest
 from bridge.player.link import Link
+from bridge.player.settings import ENDS
 from bridge.servo.access import RegisterAccess
 from bridge.stop import CUT, is_paused, stop_level, stop_on_signals
-from robots.errors import BusError, BusTimeout
-from tests.bridge.player.stage import BRISK, SMALL, Stage, states
+from robots.errors import BusError, BusTimeout, SpecError
+from tests.bridge.player.stage import BRISK, SMALL, STEP, Stage, states, ticks
 
 
 @pytest.fixture
@@ -60,6 +62,65 @@ def test_strength_fades_before_torque_goes_off_and_is_given_back(exerted):
         for servo in wire.servos:
             assert servo.get("goal_pwm") == servo.get("pwm_limit")
             assert servo.get("bus_watchdog") == 0
+
+
+def test_in_current_based_mode_strength_is_current():
+    """A servo that holds by current must not meet a hand with all of it in the first moment."""
+    robots = [
+        replace(
+            robot,
+            joints=tuple(
+                replace(joint, servo=replace(joint.servo, mode="current_based_position"))
+                for joint in robot.joints
+            ),
+        )
+        for robot in SMALL
+    ]
+    stage, seen = Stage(robots=robots), []
+    servo = stage.wires[0].servos[0]
+    most = servo.get("current_limit")
+
+    def progress(state: str, share: float) -> None:
+        if servo.get("torque_enable"):
+            seen.append((state, servo.get("goal_current") / most))
+
+    assert stage.play(on_progress=progress).completed
+    growing = [share for state, share in seen if state == "ARMED"]
+    assert growing[0] == pytest.approx(BRISK.soft_share, abs=0.01)
+    assert growing == sorted(growing)
+    assert {share for state, share in seen if state == "PLAY"} == {1.0}
+    assert servo.get("goal_current") == most
+
+
+def test_robots_end_in_their_rest_pose_unless_told_to_hold():
+    for end in ENDS:
+        stage, last = Stage(robots=SMALL), []
+        stage.play(
+            settings=replace(BRISK, end=end, relax_time=0.0),
+            on_progress=lambda state, share, stage=stage, last=last: last.append(stage.angles()),
+        )
+        rest = Stage(robots=SMALL).angles()  # servos come in it
+        assert bool(np.abs(last[-1] - rest).max() < 0.01) == (end == "rest")
+        assert stage.torques() == [0] * 6
+
+
+def test_the_way_to_the_rest_pose_is_soft_and_can_be_stopped(tmp_path):
+    stage, stop, path = Stage(robots=SMALL), StopRequest(), tmp_path / "t.jsonl"
+
+    def progress(state: str, share: float) -> None:
+        if state == "REST" and share > 0.2 and not stop.is_set():
+            stop.set()
+
+    settings = replace(BRISK, end="rest")
+    outcome = stage.play(settings=settings, stop=stop, on_progress=progress, telemetry=path)
+    assert outcome.outcome == "stopped"
+    assert states(path)[-3:] == ["REST", "HOLD", "RELAX"]
+    for person, robot in zip("ab", SMALL, strict=True):
+        goals = np.array([tick["goal"] for tick in ticks(path, person, "REST")])
+        bound = BRISK.ramp_speed * robot.max_velocity * STEP + 2e-5
+        assert (np.abs(np.diff(goals, axis=0)) <= bound).all()
+    with pytest.raises(SpecError, match="did you mean 'rest'"):
+        replace(BRISK, end="rset")  # type: ignore[arg-type]
 
 
 def stopped(times: int, path=None):
