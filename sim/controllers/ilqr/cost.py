@@ -2,14 +2,14 @@
 
 The error is ``e = (qpos - reference in tangent space, qvel - reference)``, ``[2 nv]``, and the cost
 of a knot is ``1/2 e' Q e`` with a Q made, per tick, from the Jacobians of keypoints, centre of mass
-and angular momentum at the reference pose. A body that is a few centimetres off is thus charged as
-if the map from joints to keypoints were straight, which is what Gauss-Newton would do, at a price
-that is paid once per tick and not once per plan.
+and angular momentum at the reference pose; positions and velocities do not mix in it. A body that
+is a few centimetres off is thus charged as if the map from joints to keypoints were straight, which
+is what Gauss-Newton would do, at a price that is paid once per tick and not once per plan.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -38,7 +38,7 @@ class TrackingCost:
         self.qpos, self.qvel = person.padded(qpos), person.padded(qvel)
         self._person, self._weights = person, weights
         self._data = mujoco.MjData(person.model)
-        self._hessians: dict[int, FloatArray] = {}
+        self._hessians: dict[int, NDArray[np.float32]] = {}
         names = person.body.skeleton.names
         share = [_of(n, weights.keypoint_share, 1.0) for n in names]
         self._share = np.sqrt(weights.body * np.array(share) / len(names))
@@ -60,12 +60,12 @@ class TrackingCost:
         np.subtract(qvel, self.qvel[i], out=out[nv:])
         return out
 
-    def hessian(self, tick: int) -> FloatArray:
-        """Return Q ``[2 nv, 2 nv]`` of a tick."""
-        i = self.clip(tick)
-        if i not in self._hessians:
-            self._hessians[i] = self._made(i)
-        return self._hessians[i]
+    def hessians(self, ticks: Sequence[int]) -> NDArray[np.float32]:
+        """Return Q of ticks, ``[H, 2, nv, nv]``: of positions, and of velocities."""
+        for i in map(self.clip, ticks):
+            if i not in self._hessians:
+                self._hessians[i] = self._made(i).astype(np.float32)
+        return np.stack([self._hessians[self.clip(tick)] for tick in ticks])
 
     def forget(self, tick: int) -> None:
         """Free what was kept for ticks before this one; it is made anew if asked for."""
@@ -93,15 +93,15 @@ class TrackingCost:
         mujoco.mj_angmomMat(model, data, momentum, at.bodies[0])
         position.append(np.sqrt(w.com) * com)
         velocity += [np.sqrt(w.com_velocity) * com, np.sqrt(w.angular_momentum) * momentum]
-        out = np.zeros((2 * nv, 2 * nv))
-        for block, rows in ((slice(0, nv), position), (slice(nv, None), velocity)):
+        out = np.empty((2, nv, nv))
+        for block, rows in zip(out, (position, velocity), strict=True):
             stacked = np.concatenate(rows)
-            out[block, block] = stacked.T @ stacked
-        diagonal = np.full(2 * nv, w.joint_velocity)
-        diagonal[:nv] = w.joint
-        diagonal[at.root_dof : at.root_dof + 3] = w.root_position
-        diagonal[at.dofs[0]] = w.root_rotation
-        out[np.diag_indices(2 * nv)] += diagonal
+            block[:] = stacked.T @ stacked
+        diagonal = np.full((2, nv), w.joint_velocity)
+        diagonal[0] = w.joint
+        diagonal[0, at.root_dof : at.root_dof + 3] = w.root_position
+        diagonal[0, at.dofs[0]] = w.root_rotation
+        out[:, np.arange(nv), np.arange(nv)] += diagonal
         return out
 
 

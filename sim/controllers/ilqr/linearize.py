@@ -64,7 +64,7 @@ class Linearizer:
         nv, nout = model.nv, model.nout
         self._of_q, self._of_v, self._of_a = np.empty((3, nv, nv))
         self._moment, self._force_of_input = np.empty((nout, nv)), np.zeros((nout, model.nu))
-        self._turning, self._sliding = _rotational_dofs(model)
+        self.update = PositionUpdate(model)
         self._input_axes = [
             (model.actuator_ctrladr + k)[model.actuator_ctrlnum > k]
             for k in range(int(model.actuator_ctrlnum.max(initial=0)))
@@ -73,36 +73,37 @@ class Linearizer:
         inputs = np.repeat(np.arange(len(model.actuator_ctrlnum)), model.actuator_ctrlnum)
         self._own = owner[:, None] == inputs
 
-    def __call__(self, data: Any, A: FloatArray, B: FloatArray) -> bool:
-        """Write the derivatives of the next state by state and input.
+    def __call__(self, data: Any) -> tuple[FloatArray, bool]:
+        """Return the derivative of the next velocity.
+
+        That of the next position follows from it; see :class:`PositionUpdate` and
+        :func:`transition`.
 
         Args:
             data: ``mujoco.MjData`` at the state, with ``ctrl``, mocap poses and
                 ``qacc_warmstart`` set. State, inputs and warm start are as before on return.
-            A: ``[2 nv, 2 nv]``, C-contiguous, gets ``dx'/dx``.
-            B: ``[2 nv, nu]``, C-contiguous, gets ``dx'/du``.
 
         Returns:
-            Whether the derivatives are as found; False if an entry was over 1000, so that they had
-            to be taken again over a wide step and clipped.
+            ``[nv, 2 nv + nu]``: ``dv'/d(q, v, u)``; and whether it is as found. It is not if an
+            entry was over 1000: then it was taken again over a wide step and clipped.
         """
-        if self._exact:
-            mujoco.mjd_transitionFD(self._model, data, _STEP, False, A, B, None, None)
-        else:
-            self._implicit(data, A, B)
-        if np.abs(A).max() <= _BOUND:
-            return True
-        mujoco.mjd_transitionFD(self._model, data, _WIDE_STEP, True, A, B, None, None)
-        np.clip(np.nan_to_num(A, copy=False), -_BOUND, _BOUND, out=A)
-        np.clip(np.nan_to_num(B, copy=False), -_BOUND, _BOUND, out=B)
-        return False
+        change = self._whole_step(data, _STEP) if self._exact else self._implicit(data)
+        if np.abs(change).max() <= _BOUND:
+            return change, True
+        change = self._whole_step(data, _WIDE_STEP, centred=True)
+        return np.clip(np.nan_to_num(change, copy=False), -_BOUND, _BOUND), False
 
-    def _implicit(self, data: Any, A: FloatArray, B: FloatArray) -> None:
-        """Write the derivatives by the implicit function theorem."""
+    def _whole_step(self, data: Any, step: float, *, centred: bool = False) -> FloatArray:
+        nv, nu = self._model.nv, self._model.nu
+        A, B = np.empty((2 * nv, 2 * nv)), np.empty((2 * nv, nu))
+        mujoco.mjd_transitionFD(self._model, data, step, centred, A, B, None, None)
+        return np.concatenate([A[nv:], B[nv:]], axis=1)
+
+    def _implicit(self, data: Any) -> FloatArray:
+        """Return the derivative by the implicit function theorem."""
         model = self._model
         nv, h = model.nv, model.opt.timestep
         mujoco.mj_forward(model, data)
-        velocity = data.qvel + h * data.qacc
         of_u = self._actuation(data)
         # Row i of what mjd_inverseFD writes belongs to the i-th perturbed coordinate.
         of_q, of_v, of_a = self._of_q, self._of_v, self._of_a
@@ -112,15 +113,7 @@ class Linearizer:
         # A product with the inverse takes half the time of a solution for so many columns.
         change = h * (np.linalg.inv(of_a.T) @ np.concatenate([-of_q.T, -of_v.T, of_u], axis=1))
         change[:, nv : 2 * nv] += np.eye(nv)
-        turning, sliding = self._turning, self._sliding
-        transport, jacobian = _rotation_derivatives(h * velocity[turning])
-        moved = np.empty_like(change)
-        moved[sliding] = h * change[sliding]
-        moved[turning] = h * jacobian @ change[turning]
-        moved[turning[:, :, None], turning[:, None, :]] += transport
-        moved[sliding, sliding] += 1.0
-        A[:nv], A[nv:] = moved[:, : 2 * nv], change[:, : 2 * nv]
-        B[:nv], B[nv:] = moved[:, 2 * nv :], change[:, 2 * nv :]
+        return change
 
     def _actuation(self, data: Any) -> FloatArray:
         """Return the derivative ``[nv, nu]`` of the joint forces of the actuators by the controls.
@@ -145,6 +138,49 @@ class Linearizer:
         return self._moment.T @ slopes
 
 
+class PositionUpdate:
+    """How a new position follows from the old one and the new velocity, ``q' = q exp(h v')``."""
+
+    def __init__(self, model: Any) -> None:
+        """Prepare for a ``mujoco.MjModel``."""
+        self._timestep, self._nv = model.opt.timestep, model.nv
+        self._turning, self._sliding = _rotational_dofs(model)
+
+    def __call__(self, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return derivatives of new positions, block diagonal.
+
+        Args:
+            velocity: ``[..., nv]`` new velocities, m/s and rad/s.
+
+        Returns:
+            ``[..., nv, nv]`` by the new velocity, and by the old position.
+        """
+        h, turning, sliding = self._timestep, self._turning, self._sliding
+        transport, jacobian = _rotation_derivatives(h * velocity[..., turning])
+        by_velocity, by_position = np.zeros((2, *velocity.shape, self._nv))
+        by_velocity[..., sliding, sliding], by_position[..., sliding, sliding] = h, 1.0
+        rows, columns = turning[:, :, None], turning[:, None, :]
+        by_velocity[..., rows, columns], by_position[..., rows, columns] = h * jacobian, transport
+        return by_velocity, by_position
+
+
+def transition(change: FloatArray, update: PositionUpdate, velocity: FloatArray) -> FloatArray:
+    """Return the derivative of the whole next state.
+
+    Args:
+        change: ``[nv, 2 nv + nu]``: that of the next velocity.
+        update: Of the same model.
+        velocity: ``[nv]``: the next velocity.
+
+    Returns:
+        ``[2 nv, 2 nv + nu]``: ``[A B]``.
+    """
+    by_velocity, by_position = update(velocity)
+    moved = by_velocity @ change
+    moved[:, : len(moved)] += by_position
+    return np.concatenate([moved, change])
+
+
 def _rotational_dofs(model: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return the dofs ``[n, 3]`` of free rotations, and all others."""
     start = {mujoco.mjtJoint.mjJNT_FREE: 3, mujoco.mjtJoint.mjJNT_BALL: 0}
@@ -158,16 +194,17 @@ def _rotational_dofs(model: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _rotation_derivatives(turns: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how ``q exp(turn)`` turns with ``q``, and with the turn; both ``[n, 3, 3]``.
+    """Return how ``q exp(turn)`` turns with ``q``, and with the turn; both ``[..., 3, 3]``.
 
     All rotations are vectors in the body's frame. The first is ``exp(turn)`` transposed, the second
     the right Jacobian of SO(3).
     """
-    x, y, z = turns.T
-    zero = np.zeros(len(turns))
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+    x, y, z = np.moveaxis(turns, -1, 0)
+    zero = np.zeros_like(x)
+    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1)
+    cross = cross.reshape(*x.shape, 3, 3)
     square = cross @ cross
-    angle = np.maximum(np.linalg.norm(turns, axis=1), 1e-4)[:, None, None]
+    angle = np.maximum(np.linalg.norm(turns, axis=-1), 1e-4)[..., None, None]
     sine = np.sin(angle) / angle
     cosine = (1 - np.cos(angle)) / angle**2
     rest = (1 - sine) / angle**2

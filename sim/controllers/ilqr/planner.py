@@ -21,16 +21,14 @@ from typing import Any
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import get_lapack_funcs
 
 from robots.skeleton import FloatArray
 from sim.controllers.ilqr.cost import TrackingCost
 from sim.controllers.ilqr.knots import KnotDerivatives, Path, touching
 from sim.controllers.ilqr.person import PersonModel
+from sim.controllers.ilqr.riccati import Dynamics, Quadratic, riccati
 from sim.controllers.ilqr.settings import IlqrSettings
 from sim.controllers.ilqr.touch import Touch
-
-_factorise, _solve = get_lapack_funcs(("potrf", "potrs"), dtype=np.float64)
 
 _STEP_LENGTHS = (1.0, 0.5, 0.2, 0.05)
 _WORTHWHILE = 0.02
@@ -164,11 +162,12 @@ class Planner:
         padded = self.person.padded
         state = padded(np.array(qpos)), padded(np.array(qvel)), padded(np.array(warmstart))
         goals = self._goals(tick)
+        self._lay_out(tick)
         path, gains = self._first(tick, state, goals)
         strength = self.regularisation
         for _ in range(self.iterations):
-            slopes = self.derivatives.along(tick, path, self._prepare)
-            solved = self._backward(tick, path, slopes, goals, strength)
+            dynamics = self.derivatives.along(tick, path, self._prepare)
+            solved = self._backward(path, dynamics, goals, strength)
             if solved is None:
                 break
             gains, step = solved
@@ -197,16 +196,26 @@ class Planner:
             if self.person.yielding:  # how far the partner gave way is not looked at between plans
                 off.reshape(2, -1)[:, -self.person.yielding :] = 0
             control = control + self._plan.gains[h] @ off
-        return self._bounded(tick, control)
+        low, high = (bound[self._last(tick)] for bound in self._bounds)
+        return np.clip(control, low, high)
+
+    def _lay_out(self, tick: int) -> None:
+        """Gather what a plan from a tick on is measured by."""
+        ticks = range(tick, tick + self.horizon + 1)
+        rows = [self._last(t) for t in ticks[:-1]]
+        self._wanted, self._low, self._high = (
+            values[rows] for values in (self._nominal, *self._bounds)
+        )
+        self._hessians = self.cost.hessians(ticks)
+        self._hessians[-1] *= self.cost.terminal
 
     def _first(self, tick: int, state: tuple, goals: Sequence[_Goal]) -> tuple[Path, FloatArray]:
         """Return the last plan, carried on to the new horizon and tried from the new state."""
         H, nv = self.horizon, self.person.nv
         ticks = [self.cost.clip(tick + h) for h in range(H)]
         gains = np.zeros((H, self.person.nu, 2 * nv))
-        nominal = self._nominal[np.minimum(ticks, len(self._nominal) - 1)]
         qpos, qvel = self.cost.qpos[ticks], self.cost.qvel[ticks]
-        control = nominal.copy()
+        control = self._wanted.copy()
         if self._plan is not None and 0 <= tick - self._plan.start < H:
             old, gone = self._plan.path, tick - self._plan.start
             known = H - gone
@@ -234,18 +243,15 @@ class Planner:
         data.qpos[:], data.qvel[:], data.qacc_warmstart[:] = state
         qpos, qvel = np.empty((H + 1, model.nq)), np.empty((H + 1, model.nv))
         control, warmstart = np.empty((H, person.nu)), np.empty((H, model.nv))
-        met: list[int] = []
+        met: list[bytes] = []
         push = np.zeros((H, 2))
         cost = 0.0
+        meant = around.control if step is None else around.control + step
         for h in range(H + 1):
             qpos[h], qvel[h] = data.qpos, data.qvel
             if h < H:
-                wanted = around.control[h] + gains[h] @ self._off(around, h, qpos[h], qvel[h])
-                if step is not None:
-                    wanted += step[h]
-                control[h] = self._bounded(tick + h, wanted)
-                off = control[h] - self._nominal[self._last(tick + h)]
-                cost += 0.5 * float(self.cost.control @ off**2)
+                wanted = meant[h] + gains[h] @ self._off(around, h, qpos[h], qvel[h])
+                control[h] = np.minimum(np.maximum(wanted, self._low[h]), self._high[h])
                 warmstart[h] = data.qacc_warmstart
                 self._prepare(data, tick + h)
                 data.ctrl[person.targets] = control[h]
@@ -256,17 +262,24 @@ class Planner:
             else:
                 mujoco.mj_kinematics(model, data)
             if h > 0:
-                share = self.cost.terminal if h == H else 1.0
-                cost += share * self._state_cost(tick + h, h, qpos[h], qvel[h], data, goals)
-        cost = cost if np.isfinite(cost) else 1e12
-        return Path(qpos, qvel, control, warmstart, met, cost, push)
+                cost += self._miss(h, data, goals)
+        pull, more = self._pull(tick, qpos, qvel, control)
+        cost = cost + more if np.isfinite(cost + more) else 1e12
+        return Path(qpos, qvel, control, warmstart, met, cost, pull, push)
 
-    def _state_cost(
-        self, tick: int, h: int, qpos: NDArray, qvel: NDArray, data: Any, goals: Sequence[_Goal]
-    ) -> float:
-        """Return the cost of a state, with body poses of it in ``data``."""
-        e = self.cost.error(tick, qpos, qvel)
-        cost = 0.5 * float(e @ self.cost.hessian(tick) @ e)
+    def _pull(
+        self, tick: int, qpos: NDArray, qvel: NDArray, control: NDArray
+    ) -> tuple[FloatArray, float]:
+        """Return the gradient ``[H+1, 2 nv]`` of the cost of states, and the cost without touch."""
+        error = np.stack([self.cost.error(tick + h, qpos[h], qvel[h]) for h in range(len(qpos))])
+        halves = error.astype(np.float32).reshape(len(error), 2, -1, 1)
+        pull = (self._hessians @ halves).reshape(error.shape).astype(np.float64)
+        of_controls = np.square(control - self._wanted) @ self.cost.control
+        return pull, 0.5 * float((error[1:] * pull[1:]).sum() + of_controls.sum())
+
+    def _miss(self, h: int, data: Any, goals: Sequence[_Goal]) -> float:
+        """Return the cost of not touching at a knot, with body poses of it in ``data``."""
+        cost = 0.0
         for goal in goals:
             if goal.weight[h] > 0:
                 miss = self._point(data, goal) - goal.target[h]
@@ -274,70 +287,40 @@ class Planner:
         return cost
 
     def _backward(
-        self, tick: int, path: Path, slopes: NDArray, goals: Sequence[_Goal], strength: float
+        self, path: Path, dynamics: Dynamics, goals: Sequence[_Goal], strength: float
     ) -> tuple[FloatArray, FloatArray] | None:
         """Return gains ``[H, nu, 2 nv]`` and steps ``[H, nu]``; ``None`` if nothing helps."""
+        cost = self._expand(path, goals)
         for _ in range(6):
-            solved = self._sweep(tick, path, slopes, goals, strength)
+            solved = riccati(dynamics, cost, strength)
             if solved is not None:
                 return solved
             strength = max(30 * strength, 1e-2)
-            slopes = np.clip(slopes, -100, 100)
+            dynamics = dynamics.clipped(100)
         return None
 
-    def _sweep(
-        self, tick: int, path: Path, slopes: NDArray, goals: Sequence[_Goal], strength: float
-    ) -> tuple[FloatArray, FloatArray] | None:
-        """Return gains and steps of one Riccati sweep; ``None`` if a Hessian is not positive."""
-        H, n, nu = self.horizon, 2 * self.person.nv, self.person.nu
-        gains, steps = np.empty((H, nu, n)), np.empty((H, nu))
-        gradient, hessian = self._expand(tick + H, H, path, goals)
-        gradient, hessian = gradient * self.cost.terminal, hessian * self.cost.terminal
-        diagonal = np.diag_indices(nu)
-        for h in range(H - 1, -1, -1):
-            slope = slopes[h]
-            both = slope.T @ (hessian @ slope)
-            along = slope.T @ gradient
-            off = path.control[h] - self._nominal[self._last(tick + h)]
-            quu, qux = both[n:, n:], both[n:, :n]
-            quu[diagonal] += self.cost.control + strength
-            qu = along[n:] + self.cost.control * off
-            factor, bad = _factorise(quu, lower=True)
-            if bad:
-                return None
-            solution, _ = _solve(factor, np.column_stack([qux, qu]), lower=True)
-            gains[h], steps[h] = -solution[:, :n], -solution[:, n]
-            gradient = along[:n] + qux.T @ steps[h]
-            hessian = both[:n, :n] + qux.T @ gains[h]
-            if h > 0:
-                own_gradient, own_hessian = self._expand(tick + h, h, path, goals)
-                gradient += own_gradient
-                hessian += own_hessian
-            hessian = 0.5 * (hessian + hessian.T)
-        return gains, steps
-
-    def _expand(
-        self, tick: int, h: int, path: Path, goals: Sequence[_Goal]
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return gradient ``[2 nv]`` and Hessian ``[2 nv, 2 nv]`` of a state's cost."""
-        nv = self.person.nv
-        hessian = self.cost.hessian(tick)
-        gradient = hessian @ self.cost.error(tick, path.qpos[h], path.qvel[h])
-        goals = [g for g in goals if g.weight[h] > 0]
+    def _expand(self, path: Path, goals: Sequence[_Goal]) -> Quadratic:
+        """Return the cost about a path to second order."""
+        control = self.cost.control * (path.control - self._wanted)
         if not goals:
-            return gradient, hessian
-        model, data = self.person.model, self._data
-        data.qpos[:] = path.qpos[h]
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        hessian, jacobian = hessian.copy(), np.empty((3, nv))
-        for goal in goals:
-            point = self._point(data, goal)
-            body = self.person.at.bodies[goal.touch.own.body]
-            mujoco.mj_jac(model, data, jacobian, None, point, body)
-            gradient[:nv] += goal.weight[h] * (point - goal.target[h]) @ jacobian
-            hessian[:nv, :nv] += goal.weight[h] * jacobian.T @ jacobian
-        return gradient, hessian
+            return Quadratic(path.pull, self._hessians, self.cost.control, control)
+        nv, model, data = self.person.nv, self.person.model, self._data
+        gradient, hessian = path.pull.copy(), self._hessians.copy()
+        jacobian = np.empty((3, nv))
+        for h in range(1, self.horizon + 1):
+            touching = [goal for goal in goals if goal.weight[h] > 0]
+            if not touching:
+                continue
+            data.qpos[:] = path.qpos[h]
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            for goal in touching:
+                point = self._point(data, goal)
+                body = self.person.at.bodies[goal.touch.own.body]
+                mujoco.mj_jac(model, data, jacobian, None, point, body)
+                gradient[h, :nv] += goal.weight[h] * (point - goal.target[h]) @ jacobian
+                hessian[h, 0] += goal.weight[h] * jacobian.T @ jacobian
+        return Quadratic(gradient, hessian, self.cost.control, control)
 
     def _goals(self, tick: int) -> list[_Goal]:
         """Return where touching points are to be from a tick on."""
@@ -345,7 +328,8 @@ class Planner:
         if partner is None or not self._settings.touch:
             return []
         ticks = [self.cost.clip(tick + h) for h in range(self.horizon + 1)]
-        weight = self._settings.weights.touch
+        weight = np.full(len(ticks), self._settings.weights.touch)
+        weight[-1] *= self.cost.terminal
         return [
             _Goal(
                 touch,
@@ -380,11 +364,6 @@ class Planner:
         mujoco.mj_differentiatePos(self.person.model, out[:nv], 1.0, path.qpos[h], qpos)
         np.subtract(qvel, path.qvel[h], out=out[nv:])
         return out
-
-    def _bounded(self, tick: int, control: NDArray) -> FloatArray:
-        low, high = self._bounds
-        i = self._last(tick)
-        return np.clip(control, low[i], high[i])
 
     def _last(self, tick: int) -> int:
         return min(tick, len(self._nominal) - 1)
