@@ -118,7 +118,7 @@ def _joint(name: str, table: _Table, defaults: _Table) -> JointSpec:
         model=model,
         bus=table.text("bus", "main"),
         direction=table.integer("direction", 1),
-        zero=table.integer("zero", hardware.ticks // 2),
+        zero=table.integer("zero", hardware.first + hardware.ticks // 2),
         ratio=table.number("ratio", 1.0),
         mode=table.text("mode", "position"),
         p=table.optional_integer("p"),

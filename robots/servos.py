@@ -22,13 +22,20 @@ class ServoModel:
     name: str
     """The maker's name, as in the control tables."""
     ticks: int
-    """Position counts per revolution; in position mode the goal lies in ``0 .. ticks - 1``."""
+    """Position counts per revolution."""
     no_load_speed: float
     """rad/s at the nominal voltage."""
     stall_torque: float
     """N m at the nominal voltage."""
     mass: float
     """kg."""
+    first: int = 0
+    """Smallest goal of position mode; the largest is :attr:`last`, one turn above."""
+
+    @property
+    def last(self) -> int:
+        """Largest goal of position mode."""
+        return self.first + self.ticks - 1
 
 
 _ROWS = (
@@ -52,10 +59,23 @@ _ROWS = (
     ("MX-64", 4096, 63, 6.0, 0.135),  # 12 V
     ("MX-106", 4096, 45, 8.4, 0.165),  # 12 V
 )
+_ROWS_AROUND_ZERO = (
+    # The P series at 24 V counts from the middle of its turn. Its maker gives no stall torque: this
+    # is the continuous one.
+    ("PH42-020-S300", 607500, 32.7, 5.1, 0.340),
+    ("PH54-100-S500", 1003846, 33.3, 25.3, 0.740),
+    ("PH54-200-S500", 1003846, 33.1, 44.7, 0.855),
+    ("PM42-010-S260", 526374, 28.0, 1.7, 0.270),
+    ("PM54-040-S250", 502834, 28.4, 3.9, 0.710),
+    ("PM54-060-S250", 502834, 33.1, 10.1, 0.855),
+)
 
 SERVO_MODELS: dict[str, ServoModel] = {
     name: ServoModel(name, ticks, rpm * RPM, torque, mass)
     for name, ticks, rpm, torque, mass in _ROWS
+} | {
+    name: ServoModel(name, ticks, rpm * RPM, torque, mass, -(ticks // 2))
+    for name, ticks, rpm, torque, mass in _ROWS_AROUND_ZERO
 }
 """Servo models by name."""
 

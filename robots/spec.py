@@ -101,8 +101,9 @@ class ServoSpec:
             raise SpecError(f"id {self.id}", where=where, allowed="0 to 252")
         if self.direction not in (-1, 1):
             raise SpecError(f"direction {self.direction}", where=where, allowed="1 or -1")
-        if not 0 <= self.zero < model.ticks:
-            raise SpecError(f"zero {self.zero}", where=where, allowed=f"0 to {model.ticks - 1}")
+        if not model.first <= self.zero <= model.last:
+            allowed = f"{model.first} to {model.last}"
+            raise SpecError(f"zero {self.zero}", where=where, allowed=allowed)
         if not (math.isfinite(self.ratio) and 0.01 <= self.ratio <= 100):
             raise SpecError(f"ratio {self.ratio}", where=where, allowed="0.01 to 100")
         if self.mode not in MODES:
@@ -126,9 +127,10 @@ class ServoSpec:
     def reach(self) -> tuple[float, float]:
         """Joint angles (lowest, highest) rad that the servo can be sent to in its mode."""
         if self.mode == "position":
-            first, last = 0, self.hardware.ticks - 1
-        else:  # the multi-turn range of the extended modes, in ticks of a 4096 servo
-            first, last = -1_048_575, 1_048_575
+            first, last = self.hardware.first, self.hardware.last
+        else:  # the extended modes turn 256 times either way
+            last = 256 * self.hardware.ticks - 1
+            first = -last
         per_tick = 2 * math.pi / self.hardware.ticks / self.ratio * self.direction
         ends = ((first - self.zero) * per_tick, (last - self.zero) * per_tick)
         return min(ends), max(ends)

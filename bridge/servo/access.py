@@ -104,6 +104,12 @@ class RegisterAccess:
         if found != value:
             raise ServoFault(f"{name} stays {found} instead of {value}", where=self.who(index))
 
+    def capped(self, index: int, speed: int) -> int:
+        """Return a count of Profile Velocity, at most Velocity Limit where that binds it."""
+        if self.tables[index]["profile_velocity"].max == "velocity_limit":
+            return min(speed, self.read(index, "velocity_limit"))
+        return speed
+
     def write_all(self, name: str, values: ArrayLike) -> None:
         """Write one register of all servos with one packet."""
         register = self.first[name]

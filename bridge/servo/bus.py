@@ -15,9 +15,7 @@ from numpy.typing import ArrayLike
 
 from bridge.servo.access import RegisterAccess
 from bridge.servo.registers import (
-    EXTENDED_RANGE,
     OPERATING_MODES,
-    TICKS_PER_TURN,
     WATCHDOG_UNIT,
     TickScale,
     describe_model,
@@ -31,8 +29,6 @@ from robots.spec import JointSpec
 
 log = logging.getLogger(__name__)
 
-WATCHDOG_FIRMWARE = 38
-"""First firmware with a bus watchdog."""
 FAST_FAILURES = 10
 """Incomplete fast reads, without a complete one between, after which there are no more."""
 STREAM_OFFSET, STREAM_LENGTH = -6, 10
@@ -65,11 +61,7 @@ class ServoBus:
         self.ids = self.registers.ids
         self.joint_names = self.registers.joint_names
         self.tables = self.registers.tables
-        self.scale = TickScale.of(
-            [joint.servo.zero for joint in joints],
-            [joint.servo.direction for joint in joints],
-            [joint.servo.ratio for joint in joints],
-        )
+        self.scale = TickScale.of_servos([joint.servo for joint in joints])
         self._watchdog = [True] * len(joints)
         self._may_read_fast = fast
         self._reads_fast = False  # until the firmware of all is known
@@ -78,6 +70,7 @@ class ServoBus:
         self._goal_address = self.tables[0]["goal_position"].address
         self._state_address = self.tables[0]["present_position"].address + STREAM_OFFSET
         self._velocity_unit = self.scale.velocity_scale
+        self._farthest = np.array([table.units.multi_turn for table in self.tables])
         self._current_unit = np.array([table.current_unit or math.nan for table in self.tables])
 
     @property
@@ -120,7 +113,7 @@ class ServoBus:
                 )
                 continue
             firmware = self.registers.read(index, "firmware_version")
-            self._watchdog[index] = firmware >= WATCHDOG_FIRMWARE
+            self._watchdog[index] = firmware >= table.since.get("bus_watchdog", 0)
             first = table.fast_read_firmware
             fast = fast and first is not None and firmware >= first
         if missing:
@@ -176,8 +169,9 @@ class ServoBus:
         wanted = {"return_delay_time": 0, "operating_mode": OPERATING_MODES[servo.mode]}
         if servo.mode == "position":
             low, high = sorted(int(tick) for tick in self._limits_in_ticks(index))
-            wanted["min_position_limit"] = max(0, low)
-            wanted["max_position_limit"] = min(TICKS_PER_TURN - 1, high)
+            table = self.tables[index]
+            wanted["min_position_limit"] = max(table.lowest("min_position_limit"), low)
+            wanted["max_position_limit"] = min(table.highest("max_position_limit"), high)
         return wanted
 
     def _configure_one(self, index: int) -> None:
@@ -190,13 +184,13 @@ class ServoBus:
                 self.registers.settle(index, f"position_{gain}_gain", value)
         self.registers.settle(index, "bus_watchdog", 0)
         self.registers.settle(index, "profile_acceleration", 0)
-        speed = velocity_counts(joint.max_velocity * servo.ratio)
-        self.registers.settle(index, "profile_velocity", speed)
+        speed = velocity_counts(joint.max_velocity * servo.ratio, self.tables[index])
+        self.registers.settle(index, "profile_velocity", self.registers.capped(index, speed))
         self.registers.settle(index, "goal_pwm", self.registers.read(index, "pwm_limit"))
 
     def _limits_in_ticks(self, index: int) -> tuple[int, int]:
         joint = self.joints[index]
-        scale = TickScale(self.scale.zero[index : index + 1], self.scale.factor[index : index + 1])
+        scale = TickScale.of_servos([joint.servo])
         return int(scale.to_ticks(joint.lower)[0]), int(scale.to_ticks(joint.upper)[0])
 
     # -- torque -----------------------------------------------------------------------------------
@@ -311,7 +305,7 @@ class ServoBus:
             ServoFault: A goal is not finite or beyond what the servo can be sent to.
         """
         ticks = np.rint(self.scale.zero + np.asarray(position, float) * self.scale.factor)
-        possible = np.abs(ticks) <= EXTENDED_RANGE  # false for NaN too
+        possible = (self._farthest[:, 0] <= ticks) & (ticks <= self._farthest[:, 1])  # not for NaN
         if not possible.all():
             index = int(np.flatnonzero(~possible)[0])
             reason = "out of reach" if math.isfinite(ticks[index]) else "not finite"

@@ -1,8 +1,8 @@
-"""Control tables of the servos, and the only place where ticks exist.
+"""Control tables of the servos by model, and the only place where ticks exist.
 
 **The problem.** A servo is a table of bytes: addresses with a length, a sign, a range, a unit and
 rules about who may write what and when. The tables differ between models in a few lines. They are
-data (``bridge/servo/models/*.toml``: one base table, and per family what differs); this module
+data (``bridge/servo/models/*.toml``: base tables, and per family what differs); this module
 reads them and converts between register values and SI units. Everything outside works in rad,
 rad/s, A, V and degC.
 
@@ -16,42 +16,35 @@ Radian to tick rounds half to even, so that no direction is favoured.
 
 from __future__ import annotations
 
-import itertools
 import math
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bridge.servo.table import ControlTable as ControlTable
+from bridge.servo.table import IndirectBlock, Units
+from bridge.servo.table import Register as Register
 from robots.errors import SpecError, nearest
 from robots.skeleton import FloatArray
+from robots.spec import ServoSpec
 
-TICKS_PER_TURN = 4096
-"""Position counts per revolution of the X series: 0.087890625 degrees each."""
-
-POSITION_UNIT = 2 * math.pi / TICKS_PER_TURN
-"""rad of the servo's horn per tick."""
 RPM = 2 * math.pi / 60
-VELOCITY_UNIT = 0.229 * RPM
-"""rad/s per count of every velocity register (0.229 rpm)."""
-ACCELERATION_UNIT = 214.577 * RPM / 60
-"""rad/s^2 per count of Profile Acceleration (214.577 rev/min^2)."""
+"""One revolution per minute, rad/s."""
 WATCHDOG_UNIT = 0.020
 """s per count of Bus Watchdog."""
 RETURN_DELAY_UNIT = 2e-6
 """s per count of Return Delay Time."""
 VOLTAGE_UNIT = 0.1
 """V per count."""
-PWM_FULL = 885
-"""Count of PWM Limit that means 100 % duty."""
 
 BAUD_RATES = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
-"""bit/s by value of the Baud Rate register."""
+"""bit/s of the Protocol 2.0 servos by value of their Baud Rate register."""
 
 MODE_CURRENT, MODE_VELOCITY, MODE_POSITION = 0, 1, 3
 MODE_EXTENDED_POSITION, MODE_CURRENT_POSITION, MODE_PWM = 4, 5, 16
@@ -65,149 +58,19 @@ OPERATING_MODES = {
 }
 """Values of Operating Mode by the names a robot's file uses."""
 
-EXTENDED_RANGE = 1_048_575
-"""Largest goal position, in ticks either way, of the modes that turn more than once."""
-
 HARDWARE_ERRORS = {
     0: "input voltage",
+    1: "motor hall sensor",
     2: "overheating",
     3: "encoder",
     4: "electrical shock",
     5: "overload",
 }
-"""Meaning of the bits of Hardware Error Status and Shutdown."""
-
-Access = Literal["r", "rw"]
-Area = Literal["eeprom", "ram"]
-Bound = int | str | None
+"""Meaning of the bits of Hardware Error Status and Shutdown of the X and P series."""
 
 
-@dataclass(frozen=True, slots=True)
-class Register:
-    """One entry of a control table.
-
-    Raises:
-        SpecError: The entry contradicts itself.
-    """
-
-    name: str
-    """As in ``bridge/servo/models``: the maker's data name in snake case."""
-    address: int
-    """First byte."""
-    length: int
-    """Bytes: 1, 2 or 4, little endian."""
-    access: Access = "rw"
-    """``r`` or ``rw``."""
-    area: Area = "ram"
-    """``eeprom`` survives power-off and is locked while torque is on."""
-    signed: bool = False
-    """Whether the value is two's complement."""
-    default: Bound = 0
-    """Factory value, or the name of the register whose value it starts with."""
-    min: Bound = None
-    """Smallest value; a register's name (with ``-`` for its negative) if that is the bound."""
-    max: Bound = None
-    """Largest value, likewise."""
-    values: tuple[int, ...] | None = None
-    """The only values, where a range does not say it."""
-    unit: str = ""
-    """What one count is."""
-
-    def __post_init__(self) -> None:
-        """Validate."""
-        where = f"register {self.name}"
-        if self.length not in (1, 2, 4) or not 0 <= self.address <= 1023:
-            raise SpecError(f"{self.length} bytes at {self.address}", where=where)
-        if self.access not in ("r", "rw") or self.area not in ("eeprom", "ram"):
-            raise SpecError(f"access {self.access!r}, area {self.area!r}", where=where)
-
-    @property
-    def end(self) -> int:
-        """First byte after it."""
-        return self.address + self.length
-
-    def encode(self, value: int) -> bytes:
-        """Return the bytes of a value.
-
-        Raises:
-            OverflowError: The value does not fit into the bytes.
-        """
-        return int(value).to_bytes(self.length, "little", signed=self.signed)
-
-    def decode(self, data: bytes | bytearray | memoryview) -> int:
-        """Return the value of the bytes.
-
-        Raises:
-            ValueError: Not exactly :attr:`length` bytes.
-        """
-        if len(data) != self.length:
-            raise ValueError(f"{self.name} has {self.length} bytes, not {len(data)}")
-        return int.from_bytes(data, "little", signed=self.signed)
-
-
-@dataclass(frozen=True, slots=True)
-class IndirectBlock:
-    """Pointers through which scattered registers can be reached in one piece."""
-
-    address: int
-    """First of the two-byte pointers."""
-    data: int
-    """First of the bytes they make appear."""
-    count: int
-    """How many."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ControlTable:
-    """The registers of one servo model and the electrical facts that its registers depend on."""
-
-    name: str
-    """The maker's name, for example ``XM430-W350``."""
-    number: int
-    """Model number: register 0, and the answer to a ping."""
-    registers: Mapping[str, Register]
-    """By name."""
-    indirect: tuple[IndirectBlock, ...]
-    """Blocks of indirect addressing."""
-    no_load_speed: float
-    """rad/s at :attr:`voltage`."""
-    voltage: float
-    """V, nominal."""
-    stall_current: float
-    """A at :attr:`voltage`."""
-    current_unit: float | None
-    """A per count of the current registers; ``None`` if the model measures no current."""
-    firmware: int
-    """Firmware version that the table describes."""
-    fast_read_firmware: int | None = None
-    """First firmware that takes part in a Fast Sync Read; ``None`` if none does."""
-    spans: tuple[Register, ...] = field(default=())
-    """The registers ordered by address."""
-
-    def __post_init__(self) -> None:
-        """Order, and refuse overlaps."""
-        ordered = sorted(self.registers.values(), key=lambda register: register.address)
-        for before, after in itertools.pairwise(ordered):
-            if after.address < before.end:
-                raise SpecError(f"{after.name} overlaps {before.name}", where=self.name)
-        object.__setattr__(self, "spans", tuple(ordered))
-
-    def __getitem__(self, name: str) -> Register:
-        """Return a register by name.
-
-        Raises:
-            SpecError: This model has no such register.
-        """
-        try:
-            return self.registers[name]
-        except KeyError:
-            raise SpecError(
-                f"{self.name} has no register '{name}'", hint=nearest(name, self.registers)
-            ) from None
-
-    def __contains__(self, name: str) -> bool:
-        """Whether this model has the register."""
-        return name in self.registers
+_WHOLE = ("indirect", "bauds", "errors", "protocol")
+"""Parts of a table that a family or model replaces as a whole."""
 
 
 @cache
@@ -218,54 +81,71 @@ def _tables() -> dict[str, ControlTable]:
         for file in sorted(folder.iterdir(), key=lambda file: file.name)
         if file.name.endswith(".toml")
     }
-    tables: dict[str, ControlTable] = {}
-    for family in families:
-        registers, indirect = _family(family, families)
-        for name, model in families[family].get("models", {}).items():
-            tables[name] = _table(name, model, registers, indirect)
-    return tables
+    return {
+        name: _table(name, model, _family(family, families))
+        for family in families
+        for name, model in families[family].get("models", {}).items()
+    }
 
 
-def _family(name: str, families: Mapping[str, Any]) -> tuple[dict[str, dict], list[dict]]:
-    """Return the raw register rows and indirect blocks of a family, its base included."""
+def _family(name: str, families: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the raw tables of a family, its base included."""
     data = families[name]
-    registers: dict[str, dict] = {}
-    indirect: list[dict] = []
-    if "base" in data:
-        base, indirect = _family(data["base"], families)
-        registers = {key: dict(row) for key, row in base.items()}
-    _amend(registers, data)
-    return registers, data.get("indirect", indirect)
+    base = _family(data["base"], families) if "base" in data else {"registers": {}}
+    return _amended(base, data)
 
 
-def _amend(registers: dict[str, dict], data: Mapping[str, Any]) -> None:
+def _amended(base: Mapping[str, Any], data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return raw tables with what a family or model says differently."""
+    registers = {key: dict(row) for key, row in base["registers"].items()}
     for key in data.get("remove", ()):
         del registers[key]
     for key, row in data.get("registers", {}).items():
         registers[key] = dict(row)
     for key, row in data.get("overrides", {}).items():
         registers[key] = {**registers[key], **row}
+    merged = {key: {**base.get(key, {}), **data.get(key, {})} for key in ("units", "since")}
+    for key in data.get("lacks", ()):
+        del merged["since"][key]
+    whole = {key: data.get(key, base.get(key)) for key in _WHOLE}
+    return {"registers": registers, **merged, **whole}
 
 
-def _table(
-    name: str, model: Mapping[str, Any], family: Mapping[str, dict], indirect: list[dict]
-) -> ControlTable:
-    rows = {key: dict(row) for key, row in family.items()}
-    _amend(rows, model)
-    for row in rows.values():
+def _table(name: str, model: Mapping[str, Any], family: Mapping[str, Any]) -> ControlTable:
+    raw = _amended(family, model)
+    for row in raw["registers"].values():
         if "values" in row:
             row["values"] = tuple(row["values"])
     return ControlTable(
         name=name,
         number=model["number"],
-        registers={key: Register(key, **row) for key, row in rows.items()},
-        indirect=tuple(IndirectBlock(**block) for block in indirect),
+        registers={key: Register(key, **row) for key, row in raw["registers"].items()},
+        indirect=tuple(IndirectBlock(**block) for block in raw["indirect"] or ()),
+        units=_units(raw["units"]),
+        bauds={int(key): rate for key, rate in raw["bauds"].items()},
+        errors={int(key): text for key, text in raw["errors"].items()},
+        since=raw["since"],
         no_load_speed=model["no_load_rpm"] * RPM,
         voltage=model["voltage"],
         stall_current=model["stall_current"],
         current_unit=model.get("current_unit"),
         firmware=model["firmware"],
-        fast_read_firmware=model.get("fast_read_firmware"),
+        protocol=raw["protocol"] or 2,
+    )
+
+
+def _units(raw: Mapping[str, Any]) -> Units:
+    """Return units in SI; the files have the maker's, named by their keys."""
+    low, high = raw["multi_turn"]
+    return Units(
+        position=2 * math.pi / raw["ticks_per_turn"],
+        center=raw["center"],
+        multi_turn=(low, high),
+        velocity=raw["velocity_rpm"] * RPM,
+        acceleration=raw["acceleration_rpm_per_min"] * RPM / 60,
+        pwm=raw["pwm"],
+        p_divisor=raw["p_divisor"],
+        i_divisor=raw["i_divisor"],
     )
 
 
@@ -303,21 +183,40 @@ def model_name(number: int) -> str:
 class TickScale:
     """How the ticks of some servos relate to the angles of their joints (arrays of one length).
 
-    ``tick = zero + direction * ratio * angle * 4096 / 2 pi``.
+    ``tick = zero + direction * ratio * angle * ticks per turn / 2 pi``.
     """
 
     zero: NDArray[np.int64]
     """``[D]`` tick at joint angle 0."""
     factor: FloatArray
     """``[D]`` ticks per rad of the joint, signed."""
+    velocity_scale: FloatArray
+    """``[D]`` rad/s of the joint per count of a velocity register, signed."""
 
     @classmethod
-    def of(cls, zero: ArrayLike, direction: ArrayLike, ratio: ArrayLike) -> TickScale:
-        """Return the scale of servos with these ``[D]`` zeros, directions (+-1) and ratios."""
-        factor = np.asarray(direction, float) * np.asarray(ratio, float)
+    def of(
+        cls,
+        zero: ArrayLike,
+        direction: ArrayLike,
+        ratio: ArrayLike,
+        tables: Sequence[ControlTable],
+    ) -> TickScale:
+        """Return the scale of servos with these ``[D]`` zeros, directions (+-1), ratios, tables."""
+        gear = np.atleast_1d(np.asarray(direction, float) * np.asarray(ratio, float))
         return cls(
             np.atleast_1d(np.asarray(zero, np.int64)),
-            np.atleast_1d(factor * TICKS_PER_TURN / (2 * math.pi)),
+            gear / [table.units.position for table in tables],
+            np.array([table.units.velocity for table in tables]) / gear,
+        )
+
+    @classmethod
+    def of_servos(cls, servos: Sequence[ServoSpec]) -> TickScale:
+        """Return the scale of the servos of some joints."""
+        return cls.of(
+            [servo.zero for servo in servos],
+            [servo.direction for servo in servos],
+            [servo.ratio for servo in servos],
+            [control_table(servo.model) for servo in servos],
         )
 
     def to_ticks(self, position: ArrayLike) -> NDArray[np.int64]:
@@ -340,11 +239,6 @@ class TickScale:
         return np.asarray(counts, float) * self.velocity_scale
 
     @property
-    def velocity_scale(self) -> FloatArray:
-        """``[D]`` rad/s of the joint per count of a velocity register, signed."""
-        return VELOCITY_UNIT * TICKS_PER_TURN / (2 * math.pi) / self.factor
-
-    @property
     def resolution(self) -> FloatArray:
         """``[D]`` rad of the joint per tick."""
         return 1 / np.abs(self.factor)
@@ -355,11 +249,13 @@ def describe_model(number: int) -> str:
     return f"{model_name(number)} ({number})"
 
 
-def velocity_counts(velocity: float) -> int:
+def velocity_counts(velocity: float, table: ControlTable) -> int:
     """Return the velocity count (at least 1: 0 would mean unlimited) for a servo's rad/s."""
-    return max(1, round(velocity / VELOCITY_UNIT))
+    return max(1, round(velocity / table.units.velocity))
 
 
-def hardware_error_names(status: int) -> tuple[str, ...]:
+def hardware_error_names(
+    status: int, errors: Mapping[int, str] = HARDWARE_ERRORS
+) -> tuple[str, ...]:
     """Return the names of the bits set in Hardware Error Status."""
-    return tuple(HARDWARE_ERRORS.get(bit, f"bit {bit}") for bit in range(8) if status & (1 << bit))
+    return tuple(errors.get(bit, f"bit {bit}") for bit in range(8) if status & (1 << bit))

@@ -18,7 +18,7 @@ import numpy as np
 from bridge.ports import Connect, Ports, connect, ports_of
 from bridge.servo.bus import ServoBus
 from bridge.servo.clock import Clock
-from bridge.servo.registers import TICKS_PER_TURN, TickScale
+from bridge.servo.registers import TickScale, control_table
 from bridge.setup.backup import FOLDER, Ask, change
 from bridge.setup.calibration import Calibration, Home, JointCalibration, home_angle, zero_at
 from robots.errors import BusTimeout, ServoFault, SpecError
@@ -45,12 +45,11 @@ class Sweep:
     last: dict[str, int] = field(default_factory=dict)
     """By joint name."""
 
-    def see(self, ticks: dict[str, int]) -> None:
-        """Take present positions."""
-        half = TICKS_PER_TURN // 2
+    def see(self, ticks: dict[str, int], turns: dict[str, int]) -> None:
+        """Take present positions; ``turns`` are the ticks in a turn of each servo."""
         for name, tick in ticks.items():
-            before = self.last.get(name, tick)
-            tick = before + (tick - before + half) % TICKS_PER_TURN - half
+            before, turn = self.last.get(name, tick), turns[name]
+            tick = before + (tick - before + turn // 2) % turn - turn // 2
             self.last[name] = tick
             self.low[name] = min(self.low.get(name, tick), tick)
             self.high[name] = max(self.high.get(name, tick), tick)
@@ -143,9 +142,10 @@ class Limp:
     ) -> Sweep:
         """Follow the joints while somebody moves them, until ``done``."""
         sweep = Sweep()
+        turns = {joint.name: joint.servo.hardware.ticks for joint in self.joints}
         while True:
             ended = done()
-            sweep.see(self.ticks())
+            sweep.see(self.ticks(), turns)
             show(sweep)
             if ended:
                 return sweep
@@ -197,10 +197,12 @@ def measured(
         name, servo = joint.name, joint.servo
         # The sweep unrolls jumps from wherever it began; both are the same turn of the servo.
         low, high = sweep.low.get(name, 0), sweep.high.get(name, 0)
-        turn = TickScale.of(0, 1, servo.ratio)
+        turn = TickScale.of(0, 1, servo.ratio, [control_table(servo.model)])
         if float(turn.from_ticks(high - low)[0]) < LEAST_SWEEP:
             wrong.append(f"{name} was hardly moved")
-        elif servo.mode == "position" and (low < 0 or high >= TICKS_PER_TURN):
+        elif servo.mode == "position" and not (
+            servo.hardware.first <= low <= high <= servo.hardware.last
+        ):
             wrong.append(f"{name} passes the end of its servo's turn: turn the horn on the shaft")
         elif not low <= pose[name] <= high:
             wrong.append(f"{name} was not swept as far as the home pose")
@@ -247,7 +249,7 @@ def verify(limp: Limp, calibration: Calibration, *, home: Home) -> list[Deviatio
             deviations.append(Deviation(name, math.nan, ("not calibrated",)))
             continue
         kept, servo = calibration.joints[name], robot.joint(name).servo
-        scale = TickScale.of(servo.zero, servo.direction, servo.ratio)
+        scale = TickScale.of_servos([servo])
         off = float(scale.from_ticks(pose[name])[0]) - home_angle(joint, home)
         problems = [f"{register} is {value}" for register, value in own[name].items() if value]
         if abs(off) > TOLERANCE:

@@ -25,10 +25,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from bridge.servo.registers import TICKS_PER_TURN, TickScale
+from bridge.servo.registers import TickScale, control_table
 from bridge.setup.backup import read_object
 from robots.errors import SpecError, nearest
 from robots.files import plain, write_json
+from robots.servos import servo_model
 from robots.spec import JointSpec, RobotSpec
 
 SCHEMA = "pasdedeux.calibration/1"
@@ -141,7 +142,7 @@ def _calibrated(joint: JointSpec, found: JointCalibration) -> JointSpec:
             hint="calibrate again",
         )
     servo = replace(servo, zero=found.zero, direction=found.direction)
-    scale = TickScale.of(servo.zero, servo.direction, servo.ratio)
+    scale = TickScale.of_servos([servo])
     ends = sorted(float(scale.from_ticks(tick)[0]) for tick in (found.range_min, found.range_max))
     lower, upper = max(joint.lower, ends[0] + MARGIN), min(joint.upper, ends[1] - MARGIN)
     if not lower <= joint.rest <= upper:
@@ -166,13 +167,15 @@ def zero_at(joint: JointSpec, tick: int, home: Home) -> int:
         SpecError: It would lie beyond the servo's turn.
     """
     servo = joint.servo
-    away = TickScale.of(0, servo.direction, servo.ratio).to_ticks(home_angle(joint, home))
+    tables = [control_table(servo.model)]
+    away = TickScale.of(0, servo.direction, servo.ratio, tables).to_ticks(home_angle(joint, home))
     zero = tick - int(away[0])
-    if not 0 <= zero < TICKS_PER_TURN:
+    first, last = servo.hardware.first, servo.hardware.last
+    if not first <= zero <= last:
         raise SpecError(
             f"angle 0 would be at tick {zero}",
             where=f"joint.{joint.name}",
-            allowed=f"0 to {TICKS_PER_TURN - 1}",
+            allowed=f"{first} to {last}",
             hint="is it in the home pose? else turn the horn on the shaft",
         )
     return zero
@@ -190,11 +193,12 @@ def to_lerobot(calibration: Calibration) -> dict[str, dict[str, int]]:
     for name, joint in calibration.joints.items():
         offset = LEROBOT_HOME - joint.zero
         low, high = joint.range_min + offset, joint.range_max + offset
-        if low < 0 or high >= TICKS_PER_TURN:
+        last = servo_model(joint.model).last
+        if low < 0 or high > last:
             raise SpecError(
                 f"its range would be {low} to {high}",
                 where=f"joint.{name}",
-                allowed=f"0 to {TICKS_PER_TURN - 1}",
+                allowed=f"0 to {last}",
                 hint="lerobot's limits hold one turn around the home pose",
             )
         values = (joint.id, 0, offset, low, high)

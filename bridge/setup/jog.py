@@ -152,7 +152,8 @@ def _prepare(
     registers.settle(0, "bus_watchdog", 0)
     registers.settle(0, "profile_acceleration", 0)
     speed = min(settings.speed, joint.max_velocity)
-    registers.settle(0, "profile_velocity", velocity_counts(speed * joint.servo.ratio))
+    counts = velocity_counts(speed * joint.servo.ratio, bus.tables[0])
+    registers.settle(0, "profile_velocity", registers.capped(0, counts))
 
 
 def _relax(bus: ServoBus) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from bridge.servo.registers import (
     BAUD_RATES,
     OPERATING_MODES,
-    POSITION_UNIT,
     ControlTable,
     TickScale,
     control_table,
@@ -84,9 +83,9 @@ def _drive(table: ControlTable, plant: str) -> Drive:
 
 def _servo(joint: JointSpec, baud: int, plant: str) -> VirtualServo:
     servo = joint.servo
-    scale = TickScale.of(servo.zero, servo.direction, servo.ratio)
-    angle = (int(scale.to_ticks(joint.rest)[0]) - 2048) * POSITION_UNIT
     table = control_table(servo.model)
+    tick = int(TickScale.of_servos([servo]).to_ticks(joint.rest)[0])
+    angle = (tick - table.units.center) * table.units.position
     virtual = VirtualServo(
         table, servo.id, baud_index=BAUD_RATES.index(baud), drive=_drive(table, plant)
     )

@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterable
 
 from bridge.servo import packets
 from bridge.servo.packets import Packet, Parser
-from bridge.servo.registers import BAUD_RATES, RETURN_DELAY_UNIT
+from bridge.servo.registers import RETURN_DELAY_UNIT
 from bridge.virtual.faults import FaultPlan
 from bridge.virtual.line_faults import LineFaults, Timed, collide
 from bridge.virtual.plant import Plant
@@ -154,7 +154,7 @@ class VirtualBus:
         servos = [
             servo
             for servo in every
-            if now >= servo.boots_at and (rate is None or rate == BAUD_RATES[servo.baud_index])
+            if now >= servo.boots_at and (rate is None or rate == servo.baud)
         ]
         if faults.faults:
             lost = [fault.servo_id for fault in faults.of("deaf", now) if faults.chance(fault)]

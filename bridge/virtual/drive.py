@@ -6,19 +6,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from bridge.servo.registers import (
-    ACCELERATION_UNIT,
     MODE_CURRENT,
     MODE_CURRENT_POSITION,
     MODE_PWM,
     MODE_VELOCITY,
-    PWM_FULL,
-    VELOCITY_UNIT,
     ControlTable,
 )
-from bridge.virtual.memory import Memory
 from bridge.virtual.motor import RESISTANCE_DROP, STEP, Motor, Profile
 
 REVERSE = 0x01
+SLAVE = 0x02
 TIME_BASED = 0x04
 TORQUE_BY_GOAL = 0x08
 """Bits of Drive Mode."""
@@ -40,10 +37,10 @@ class DriveSettings:
     """Of the profile, rad/s; 0 for a step."""
     acceleration: float
     """Of the profile, rad/s^2; 0 for a speed without ramp."""
-    p: int
-    """Position P gain."""
-    i: int
-    """Position I gain."""
+    p: float
+    """Position P gain: duty per rad."""
+    i: float
+    """Position I gain: duty per rad s."""
     limit: float
     """Largest duty, share of the supply."""
     duty: float
@@ -52,38 +49,8 @@ class DriveSettings:
     """Share of stall current."""
     goal_velocity: float
     """rad/s."""
-
-    @classmethod
-    def of(cls, memory: Memory, goal: float, profile: Profile) -> DriveSettings:
-        """Decode registers; ``goal`` is Goal Position as rad of the horn."""
-        get, table = memory.get, memory.table
-        speed = get("profile_velocity") * VELOCITY_UNIT
-        acceleration = get("profile_acceleration") * ACCELERATION_UNIT
-        if get("drive_mode") & TIME_BASED:  # duration and ramp in ms instead
-            duration, ramp = get("profile_velocity") / 1e3, get("profile_acceleration") / 1e3
-            ramp = min(ramp, duration / 2)
-            distance = abs(goal - profile.position)
-            speed = distance / (duration - ramp) if duration > 0 else 0.0
-            acceleration = speed / ramp if ramp > 0 else 0.0
-        if get("bus_watchdog") == WATCHDOG_TRIPPED:
-            speed = acceleration = 0.0
-        mode, limit = get("operating_mode"), get("pwm_limit")
-        current = 1.0
-        if "goal_current" in table and table.current_unit:
-            current = get("goal_current") * table.current_unit / table.stall_current
-        return cls(
-            torque=bool(get("torque_enable")),
-            mode=mode,
-            goal=goal,
-            speed=speed,
-            acceleration=acceleration,
-            p=get("position_p_gain"),
-            i=get("position_i_gain"),
-            limit=(limit if mode == MODE_PWM else min(abs(get("goal_pwm")), limit)) / PWM_FULL,
-            duty=get("goal_pwm") / PWM_FULL,
-            goal_current=current,
-            goal_velocity=get("goal_velocity") * VELOCITY_UNIT,
-        )
+    dead_band: float = 0.0
+    """Position error without consequence, rad."""
 
 
 class Drive:
@@ -162,7 +129,10 @@ class Drive:
         else:
             profile = self.profile
             profile.step(settings.goal, settings.speed, settings.acceleration, STEP)
-            duty = motor.control(profile.position - motor.angle, settings.p, settings.i, limit)
+            error = profile.position - motor.angle
+            if settings.dead_band:
+                error -= max(-settings.dead_band, min(settings.dead_band, error))
+            duty = motor.control(error, settings.p, settings.i, limit)
             if mode == MODE_CURRENT_POSITION:
                 most = abs(settings.goal_current)
                 back = motor.velocity / motor.no_load_speed

@@ -13,7 +13,7 @@ from functools import cache
 from struct import Struct
 
 from bridge.servo.packets import ERROR_ACCESS, ERROR_LENGTH
-from bridge.servo.registers import Area, Bound, ControlTable, Register
+from bridge.servo.table import Area, Bound, ControlTable, Register
 
 SIZE = 1024
 _FORMATS = {1: "<b", 2: "<h", 4: "<i"}
@@ -24,6 +24,13 @@ RESET_BY_MODE = (
     *("profile_acceleration", "profile_velocity", "goal_pwm", "goal_current"),
 )
 """Registers that return to their defaults when the operating mode changes."""
+
+BACKED_UP = (
+    *("velocity_p_gain", "velocity_i_gain"),
+    *("position_p_gain", "position_i_gain", "position_d_gain"),
+    *("feedforward_1st_gain", "feedforward_2nd_gain", "profile_acceleration", "profile_velocity"),
+)
+"""Registers of the RAM that a Control Table Backup keeps beside all of the EEPROM, and pointers."""
 
 
 class Memory:
@@ -41,6 +48,8 @@ class Memory:
         self._first_data = min(self._data, default=SIZE)
         self.cells = bytearray(SIZE)
         """The bytes themselves."""
+        self.backup: dict[str, int] = {}
+        """What :meth:`store` kept; no reset touches it."""
         self.reset("eeprom")
         self.reset("ram")
 
@@ -52,6 +61,10 @@ class Memory:
         """Return a register's value."""
         codec, start = self._codecs[name]
         return codec.unpack_from(self.cells, start)[0]
+
+    def value(self, name: str, default: int) -> int:
+        """Return a register's value, or a default if this model has no such register."""
+        return self.get(name) if name in self._codecs else default
 
     def set(self, name: str, value: int) -> None:
         """Set a register without asking any rule."""
@@ -75,6 +88,20 @@ class Memory:
         for name in names:
             if name in self._registers:
                 self.set(name, self.bound(self._registers[name].default))
+
+    def store(self) -> None:
+        """Keep what a Control Table Backup keeps."""
+        self.backup = {
+            name: self.get(name)
+            for name, register in self._registers.items()
+            if register.access == "rw" and _is_backed_up(name, register)
+        }
+
+    def restore(self, area: Area) -> None:
+        """Bring back what was kept of an area."""
+        for name, value in self.backup.items():
+            if self._registers[name].area == area:
+                self.set(name, value)
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Return (error, bytes); undefined addresses read as zero."""
@@ -138,11 +165,16 @@ def _layout(
     data: dict[int, int] = {}
     number = 1
     for block in table.indirect:
-        top = max(other.data + other.count for other in table.indirect) - 1
         for index in range(block.count):
             pointer, byte = block.address + 2 * index, block.data + index
             registers[f"indirect_address_{number}"] = Register(
-                f"indirect_address_{number}", pointer, 2, default=byte, min=64, max=top
+                f"indirect_address_{number}",
+                pointer,
+                2,
+                area=block.area,
+                default=byte,
+                min=block.min,
+                max=block.max,
             )
             registers[f"indirect_data_{number}"] = Register(f"indirect_data_{number}", byte, 1)
             data[byte] = pointer
@@ -152,6 +184,12 @@ def _layout(
         name: (Struct(_format(register)), register.address) for name, register in registers.items()
     }
     return registers, starts, data, codecs
+
+
+def _is_backed_up(name: str, register: Register) -> bool:
+    if name.startswith("indirect_address"):
+        return register.area == "ram"  # where the pointers live in the EEPROM they are left out
+    return register.area == "eeprom" or name in BACKED_UP
 
 
 def _format(register: Register) -> str:

@@ -4,9 +4,10 @@
 does, and does so identically on every run. The chain of the real servo is kept, at a fixed step:
 
 1. *Profile*: the goal becomes a reference that moves with limited speed and acceleration.
-2. *Controller*: duty = (P / 128 * error + I / 65536 * sum of errors) / 885, errors in ticks. These
-   scalings are the maker's; they are what gives a servo its lag. For an XM430-W350 (P 800,
-   46 rpm at 12 V) the lag to a ramp is 885 * 128 / 800 ticks / 3140 ticks/s = 45 ms.
+2. *Controller*: duty = (P / 128 * error + I / 65536 * sum of errors) / 885, errors in ticks, in the
+   X series. These scalings are the maker's; they are what gives a servo its lag. For an XM430-W350
+   (P 800, 46 rpm at 12 V) the lag to a ramp is 885 * 128 / 800 ticks / 3140 ticks/s = 45 ms. The
+   scalings of the other series are in their tables; here gains are duty per rad.
 3. *Motor*: a DC motor on its torque-speed line; the speed follows the duty with one mechanical time
    constant, and current is what the line leaves: stall current * (duty - speed / no-load speed).
 4. *Heat*: copper losses against one thermal time constant.
@@ -20,12 +21,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from bridge.servo.registers import POSITION_UNIT, PWM_FULL
-
 STEP = 0.002
 """Integration step, s."""
-P_SCALE, I_SCALE = 128.0, 65536.0
-"""Divisors of the position gains."""
 CONTROL_PERIOD = 0.001
 """Period of the servo's own controller, s: what one term of the I sum stands for."""
 MECHANICAL_TIME = 0.015
@@ -97,23 +94,27 @@ class Motor:
     temperature: float = AMBIENT
     """degC."""
     error_sum: float = 0.0
-    """tick, the I term's memory."""
+    """rad s, the I term's memory."""
     ambient: float = AMBIENT
     """Temperature of the air around it, degC."""
     stuck: bool = False
     """Whether something holds the horn where it is."""
 
-    def control(self, error: float, p: int, i: int, limit: float) -> float:
-        """Return the duty for a position error in rad, within +-``limit``."""
-        ticks = error / POSITION_UNIT
+    def control(self, error: float, p: float, i: float, limit: float) -> float:
+        """Return the duty for a position error in rad, within +-``limit``.
+
+        Args:
+            error: rad.
+            p: Duty per rad.
+            i: Duty per rad s.
+            limit: Largest duty.
+        """
         if i:
-            most = limit * PWM_FULL * I_SCALE / i
-            self.error_sum += ticks * STEP / CONTROL_PERIOD
-            self.error_sum = max(-most, min(most, self.error_sum))
+            most = limit / i
+            self.error_sum = max(-most, min(most, self.error_sum + error * STEP))
         else:
             self.error_sum = 0.0
-        duty = (ticks * p / P_SCALE + self.error_sum * i / I_SCALE) / PWM_FULL
-        return max(-limit, min(limit, duty))
+        return max(-limit, min(limit, error * p + self.error_sum * i))
 
     def drive(self, duty: float, supply: float, load: float, dt: float) -> None:
         """Advance by ``dt`` s under a duty.

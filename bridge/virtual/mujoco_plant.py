@@ -38,7 +38,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from bridge.servo.registers import POSITION_UNIT, TICKS_PER_TURN
+from bridge.servo.registers import control_table
 from bridge.virtual.motor import MECHANICAL_TIME, STEP, Motor
 from bridge.virtual.servo import VirtualServo
 from robots.errors import SimDiverged, SpecError
@@ -100,7 +100,9 @@ class MujocoPlant:
         self._dof = np.array([self.model.jnt_dofadr[joint] for joint in joints])
         specs = [joint.servo for joint in robot.joints]
         zero = np.array([spec.zero for spec in specs])
-        self._zero = (zero - TICKS_PER_TURN // 2) * POSITION_UNIT
+        units = [control_table(spec.model).units for spec in specs]
+        center = np.array([unit.center for unit in units])
+        self._zero = (zero - center) * [unit.position for unit in units]
         self._gear = np.array([spec.direction * spec.ratio for spec in specs], float)
         stall = np.array([spec.hardware.stall_torque for spec in specs])
         speed = np.array([motor.no_load_speed for motor in self._motors])

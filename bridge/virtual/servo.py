@@ -8,50 +8,39 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from bridge.servo.bus import WATCHDOG_FIRMWARE
 from bridge.servo.packets import (
     ALERT,
     ERROR_ACCESS,
+    ERROR_INSTRUCTION,
     ERROR_LIMIT,
     ERROR_RANGE,
     ERROR_RESULT,
 )
-from bridge.servo.registers import (
-    EXTENDED_RANGE,
-    MODE_POSITION,
-    POSITION_UNIT,
-    PWM_FULL,
-    TICKS_PER_TURN,
-    VELOCITY_UNIT,
-    VOLTAGE_UNIT,
-    WATCHDOG_UNIT,
-    ControlTable,
-)
-from bridge.virtual.drive import (
-    REVERSE,
-    TIME_BASED,
-    TORQUE_BY_GOAL,
-    WATCHDOG_TRIPPED,
-    Drive,
-    DriveSettings,
-)
+from bridge.servo.registers import MODE_POSITION, VOLTAGE_UNIT, WATCHDOG_UNIT
+from bridge.servo.table import ControlTable
+from bridge.virtual.classic import ClassicMap
+from bridge.virtual.drive import TORQUE_BY_GOAL, WATCHDOG_TRIPPED, Drive
+from bridge.virtual.maps import ModernMap, RegisterMap
 from bridge.virtual.memory import RESET_BY_MODE, Memory
-from bridge.virtual.motor import RESISTANCE_DROP, STEP
+from bridge.virtual.motor import STEP
 
 OVERLOAD_TIME = 2.0
 """s of (nearly) stall current after which the overload bit is set."""
 BOOT_TIME = 0.2
 """s without an answer after a reboot."""
 
-SINCE = {"bus_watchdog": WATCHDOG_FIRMWARE}
-"""First firmware that has a register, where not all have it."""
+STORE, RESTORE = 1, 2
+"""What a Control Table Backup is asked for."""
+TORQUE_AT_BOOT, RESTORE_RAM = 0x01, 0x02
+"""Bits of Startup Configuration."""
 GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
 
 
 class VirtualServo:
     """One servo: registers, rules, motion.
 
-    Positions given to or taken from Python are rad of the horn, 0 at tick 2048 (:attr:`angle`).
+    Positions given to or taken from Python are rad of the horn (:attr:`angle`), 0 in the middle of
+    the position register's range: at tick 2048 of an X servo, 0 of a P, 512 of an AX.
     """
 
     def __init__(
@@ -60,7 +49,7 @@ class VirtualServo:
         servo_id: int,
         *,
         angle: float = 0.0,
-        baud_index: int = 1,
+        baud_index: int | None = None,
         load: Callable[[float], float] | None = None,
         drive: Drive | None = None,
     ) -> None:
@@ -69,19 +58,23 @@ class VirtualServo:
         Args:
             table: Control table of its model.
             servo_id: Its id.
-            angle: Where the horn stands, rad from tick 2048.
-            baud_index: Value of its Baud Rate register.
+            angle: Where the horn stands, rad from the middle.
+            baud_index: Value of its Baud Rate register; ``None`` for the factory's.
             load: Torque against positive motion as share of stall torque, from the angle in rad.
             drive: What moves the horn, instead of a motor of its own at ``angle``.
         """
         self.table = table
         self.id = servo_id
         """Its id."""
-        self.baud_index = baud_index
-        """Value of its Baud Rate register."""
         self.memory = Memory(table)
         self.memory.set("id", servo_id)
-        self.memory.set("baud_rate", baud_index)
+        if baud_index is not None:
+            self.memory.set("baud_rate", baud_index)
+        self.baud_index = self.memory.get("baud_rate")
+        """Value of its Baud Rate register."""
+        self._map: RegisterMap = (
+            ClassicMap(self.memory) if "moving_speed" in table else ModernMap(self.memory)
+        )
         self.drive = drive or Drive(table, angle)
         self.motor, self.profile = self.drive.motor, self.drive.profile
         self.supply = table.voltage
@@ -95,12 +88,11 @@ class VirtualServo:
         self._time = 0.0
         self._heard = 0.0
         self._overload = 0.0
-        last = table["present_position"].end
-        self._fast_block = (last - 10, last)
-        self._goal, self._error_at = table["goal_position"], table["hardware_error_status"].address
+        self._goal = table["goal_position"]
         self._level_at = table["status_return_level"].address
         self._firmware_at = table["firmware_version"].address
-        self._fast_from = table.fast_read_firmware or 256  # which no firmware reaches
+        first = table.fast_read_firmware
+        self._fast_from = 256 if first is None else first  # 256: which no firmware reaches
         self._delay_at = table["return_delay_time"].address
         self._power_up()
 
@@ -113,7 +105,12 @@ class VirtualServo:
     @property
     def alert(self) -> int:
         """The alert bit for the error byte of its status packets."""
-        return ALERT if self.memory.cells[self._error_at] else 0
+        return ALERT if self._map.errors else 0
+
+    @property
+    def errors(self) -> int:
+        """Its hardware errors, by the bits of its table."""
+        return self._map.errors
 
     @property
     def reads_fast(self) -> bool:
@@ -136,8 +133,9 @@ class VirtualServo:
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Return (error, data) of a read."""
-        if self._fast_block[0] <= address and address + length <= self._fast_block[1]:
-            self._publish_motion()
+        first, end = self._map.stream
+        if first <= address and address + length <= end:
+            self._map.show_motion(self.drive)
         else:
             self._publish()
         return self.memory.read(address, length)
@@ -151,14 +149,13 @@ class VirtualServo:
             low, high = self._free_goals
             if low <= value <= high:
                 self.memory.set("goal_position", value)
-                self.drive.aim(self._angle(value))
+                self.drive.aim(self._map.angle(value))
                 return 0
         writes, error = self.memory.plan(address, data)
         if error:
             return error
-        torque = bool(self.memory.get("torque_enable"))
         for name, value in writes:
-            error = self._check(name, value, torque)
+            error = self._check(name, value)
             if error:
                 return error
         for name, value in writes:
@@ -189,10 +186,18 @@ class VirtualServo:
         self.memory.reset("ram")
         self._power_up()
 
-    def factory_reset(self, level: int, now: float) -> int:
-        """Return the EEPROM to factory values: 0xFF all, 1 all but id, 2 all but id and baud."""
+    def factory_reset(self, level: int, now: float, *, everybody: bool = False) -> int:
+        """Return the EEPROM to factory values.
+
+        Args:
+            level: 0xFF for all, 1 for all but the id, 2 for all but id and bit rate.
+            now: s.
+            everybody: Whether all servos are asked, which later firmware refuses at level 0xFF.
+        """
         if level not in (0xFF, 1, 2):
             return ERROR_RANGE
+        if everybody and level == 0xFF and self._has("guarded_reset"):
+            return ERROR_RESULT
         kept = {"id": self.memory.get("id"), "baud_rate": self.memory.get("baud_rate")}
         self.memory.reset("eeprom")
         if level != 0xFF:
@@ -204,31 +209,46 @@ class VirtualServo:
 
     def clear_turns(self) -> int:
         """Bring the present position back into one turn; fails while the horn moves."""
-        if abs(self.motor.velocity) > VELOCITY_UNIT:
+        if not self._has("clear"):
+            return ERROR_INSTRUCTION
+        if abs(self.motor.velocity) > self.table.units.velocity:
             return ERROR_RESULT
         self._one_turn()
         self._reload()
+        return 0
+
+    def back_up(self, task: int, now: float) -> int:
+        """Keep the control table (:data:`STORE`), or bring its EEPROM back and reboot."""
+        if not self._has("backup"):
+            return ERROR_INSTRUCTION
+        if task not in (STORE, RESTORE):
+            return ERROR_RANGE
+        if self.memory.get("torque_enable") or (task == RESTORE and not self.memory.backup):
+            return ERROR_RESULT
+        if task == STORE:
+            self.memory.store()
+            self.memory.set("backup_ready", 1)
+        else:
+            self.memory.restore("eeprom")
+            self.reboot(now)
         return 0
 
     # -- what a test or a plant does ------------------------------------------------------------
 
     @property
     def angle(self) -> float:
-        """Where the horn is, rad from tick 2048."""
+        """Where the horn is, rad from the middle."""
         return self.motor.angle
 
     def place(self, angle: float) -> None:
-        """Put the horn somewhere by hand, rad from tick 2048."""
+        """Put the horn somewhere by hand, rad from the middle."""
         self.motor.angle = angle
         self.motor.brake()
         self.drive.wake()
 
     def trip(self, bit: int) -> None:
         """Set a bit of Hardware Error Status, and torque off if Shutdown asks for it."""
-        status = self.memory.get("hardware_error_status") | 1 << bit
-        self.memory.set("hardware_error_status", status)
-        if self.memory.get("shutdown") & 1 << bit:
-            self.memory.set("torque_enable", 0)
+        self._map.trip(bit)
         self._reload()
 
     def get(self, name: str) -> int:
@@ -249,13 +269,26 @@ class VirtualServo:
 
     # -- inside -----------------------------------------------------------------------------------
 
+    def _has(self, feature: str) -> bool:
+        return self.table.has(feature, self.memory.cells[self._firmware_at])
+
     def _power_up(self) -> None:
-        self.memory.set("model_number", self.table.number)
-        self.memory.set("firmware_version", self.table.firmware)
-        if self.memory.get("operating_mode") == MODE_POSITION:
+        memory = self.memory
+        memory.set("model_number", self.table.number)
+        memory.set("firmware_version", self.table.firmware)
+        startup = 0
+        if self._has("startup_configuration"):
+            startup = memory.get("startup_configuration")
+            memory.set("backup_ready", int(bool(memory.backup)))
+            if startup & RESTORE_RAM:
+                memory.restore("ram")
+        if self._map.mode == MODE_POSITION:
             self._one_turn()
         self._reload()
-        self.memory.set("goal_position", self._ticks(self.motor.angle))
+        memory.set("goal_position", self._here())
+        if startup & TORQUE_AT_BOOT:
+            memory.set("torque_enable", 1)
+            self._rest()
         self.registered = None
         self._overload = 0.0
         self._reload()
@@ -263,86 +296,78 @@ class VirtualServo:
     def _one_turn(self) -> None:
         self.motor.angle = (self.motor.angle + math.pi) % (2 * math.pi) - math.pi
 
-    def _ticks(self, angle: float) -> int:
-        """Return the position register's count for a horn angle."""
-        return round(self._sign * angle / POSITION_UNIT) + self._zero
+    def _here(self) -> int:
+        """Return the goal position that means where the horn is, as far as goals reach."""
+        low, high = self.table.units.multi_turn
+        return max(low, min(high, self._map.ticks(self.motor.angle)))
 
-    def _angle(self, ticks: int) -> float:
-        return self._sign * (ticks - self._zero) * POSITION_UNIT
+    def _rest(self) -> None:
+        """Begin to control where the horn is."""
+        self.profile.start(self.motor.angle)
+        self.motor.error_sum = 0.0
 
-    def _check(self, name: str, value: int, torque: bool) -> int:
+    def _check(self, name: str, value: int) -> int:
         """Return the error that forbids a write, or 0."""
         register = self.memory.register(name)
-        if register.access == "r" or (register.area == "eeprom" and torque):
+        if register.access == "r" or (register.area == "eeprom" and self._map.locked):
             return ERROR_ACCESS
-        if name in GOALS and self.memory.get("bus_watchdog") == WATCHDOG_TRIPPED:
+        if self.memory.cells[self._firmware_at] < self.table.since.get(name, 0):
+            return ERROR_ACCESS
+        if name in GOALS and self.memory.value("bus_watchdog", 0) == WATCHDOG_TRIPPED:
             return ERROR_RANGE
-        if name in SINCE and self.memory.cells[self._firmware_at] < SINCE[name]:
-            return ERROR_ACCESS
+        if self._map.forbids(name, value):
+            return ERROR_RANGE
         if register.values is not None:
             return 0 if value in register.values else ERROR_RANGE
         low, high = register.min, register.max
-        if name == "goal_position" and self.memory.get("operating_mode") != MODE_POSITION:
-            low, high = -EXTENDED_RANGE, EXTENDED_RANGE
+        if name == "goal_position":
+            low, high = self._map.goal_bounds()
         for bound, sign in ((low, -1), (high, 1)):
             if bound is not None and (value - self.memory.bound(bound)) * sign > 0:
                 return ERROR_LIMIT if isinstance(bound, str) else ERROR_RANGE
-        if name == "torque_enable" and value and self._latched:
+        if name == "torque_enable" and value and self._map.latched:
             return ERROR_RESULT
         return 0
-
-    @property
-    def _latched(self) -> bool:
-        memory = self.memory
-        return bool(memory.get("hardware_error_status") & memory.get("shutdown"))
 
     def _apply(self, name: str, value: int) -> None:
         before = self.memory.get(name)
         self.memory.set(name, value)
+        self._map.written(name, value)
         if name == "operating_mode" and value != before:
             self.memory.reset_names(RESET_BY_MODE)
             if value == MODE_POSITION:
                 self._one_turn()
         elif name == "torque_enable" and value and not before:
-            self.profile.start(self.motor.angle)
-            self.motor.error_sum = 0.0
-        elif name == "goal_position" and self.memory.get("drive_mode") & TORQUE_BY_GOAL:
-            if not (self.memory.get("torque_enable") or self._latched):
-                self.profile.start(self.motor.angle)
+            self._rest()
+        elif name == "goal_position" and self.memory.value("drive_mode", 0) & TORQUE_BY_GOAL:
+            if not (self.memory.get("torque_enable") or self._map.latched):
+                self._rest()
                 self.memory.set("torque_enable", 1)
         elif name == "bus_watchdog" and value:
             self._heard = self._time
 
     def _reload(self) -> None:
         """Decode what the motion needs."""
-        memory = self.memory
-        get = memory.get
-        self.id, self._shadow, self.baud_index = get("id"), get("shadow_id"), get("baud_rate")
+        get, value, table = self.memory.get, self.memory.value, self.table
+        self.id, self._shadow = get("id"), value("shadow_id", 255)
+        self.baud_index = get("baud_rate")
+        self.baud = table.bauds.get(self.baud_index, 0)
+        """bit/s at which it speaks."""
+        self.protocol = 1 if value("protocol_type", table.protocol) == 1 else 2
+        """Protocol that it speaks."""
         self._voltages = (get("min_voltage_limit"), get("max_voltage_limit"))
         self._hottest = get("temperature_limit")
-        self._sign = -1 if get("drive_mode") & REVERSE else 1
-        self._zero = TICKS_PER_TURN // 2 + get("homing_offset")
-        self._free_goals = self._goals_without_rule()
-        self._shown = (math.nan, math.nan, math.nan)
+        self._watchdog = max(0, value("bus_watchdog", 0)) * WATCHDOG_UNIT
+        self._map.reload()
+        self._free_goals = self._map.free_goals()
         self.due = 0.0
-        self._watchdog = max(0, get("bus_watchdog")) * WATCHDOG_UNIT
-        self.drive.use(DriveSettings.of(memory, self._angle(get("goal_position")), self.profile))
-
-    def _goals_without_rule(self) -> tuple[int, int]:
-        """Return a range of goals that can be taken as they are; empty if some rule may object."""
-        memory = self.memory
-        special = memory.get("drive_mode") & (TIME_BASED | TORQUE_BY_GOAL)
-        if special or memory.get("bus_watchdog") == WATCHDOG_TRIPPED:
-            return 0, -1
-        if memory.get("operating_mode") != MODE_POSITION:
-            return -EXTENDED_RANGE, EXTENDED_RANGE
-        return memory.bound(self._goal.min), memory.bound(self._goal.max)
+        self.drive.use(self._map.settings(self.profile))
 
     def _trip_watchdog(self) -> None:
         """Stop where the horn is, until the watchdog is cleared."""
         self.motor.brake()
         self.memory.set("bus_watchdog", WATCHDOG_TRIPPED)
-        self.memory.set("goal_position", self._ticks(self.motor.angle))
+        self.memory.set("goal_position", self._here())
         self.memory.set("goal_velocity", 0)
         self.profile.start(self.motor.angle)
         self._reload()
@@ -357,47 +382,23 @@ class VirtualServo:
         self._protect(steps * STEP)
 
     def _protect(self, elapsed: float) -> None:
-        """Set hardware errors that the state calls for."""
-        volts = self.supply / VOLTAGE_UNIT
-        if not self._voltages[0] <= volts <= self._voltages[1]:
-            self.trip(0)
-        if self.motor.temperature > self._hottest:
-            self.trip(2)
+        """Set hardware errors that the state calls for, and take back what may be."""
+        volts, (low, high) = self.supply / VOLTAGE_UNIT, self._voltages
         self._overload = self._overload + elapsed if abs(self.motor.current) > 0.9 else 0.0
+        self._judge("input voltage", not low <= volts <= high)
+        self._judge("overheating", self.motor.temperature > self._hottest)
         if self._overload > OVERLOAD_TIME:
-            self.trip(5)
+            self._judge("overload", True)
+
+    def _judge(self, meaning: str, wrong: bool) -> None:
+        bit = self.table.error_bit(meaning)
+        if bit is None:
+            return
+        if wrong:
+            self.trip(bit)
+        elif self._map.errors & 1 << bit:
+            self._map.recover(bit)
 
     def _publish(self) -> None:
         """Write the state into the registers that show it."""
-        motor, memory = self.motor, self.memory
-        self._publish_motion()
-        speed, sign = memory.get("present_velocity"), self._sign
-        error = memory.get("goal_position") - memory.get("present_position")
-        moving = abs(speed) > memory.get("moving_threshold")
-        arrived = abs(error) <= 4
-        running = self.drive.settings.torque and self.profile.velocity != 0
-        memory.set("present_pwm", round(sign * motor.duty * PWM_FULL))
-        sag = 1 - RESISTANCE_DROP * min(1.0, abs(motor.current))
-        memory.set("present_input_voltage", round(self.supply * sag / VOLTAGE_UNIT))
-        memory.set("present_temperature", max(0, min(255, round(motor.temperature))))
-        memory.set("moving", int(moving))
-        memory.set("moving_status", arrived | running << 1 | (not arrived) << 3)
-        memory.set("velocity_trajectory", round(sign * self.profile.velocity / VELOCITY_UNIT))
-        memory.set("position_trajectory", self._ticks(self.profile.position))
-        memory.set("realtime_tick", int(self._time * 1e3) % 32768)
-
-    def _publish_motion(self) -> None:
-        """Write current or load, velocity and position."""
-        motor, memory, table, sign = self.motor, self.memory, self.table, self._sign
-        state = (motor.angle, motor.velocity, motor.current)
-        if state == self._shown:
-            return
-        self._shown = state
-        memory.set("present_position", self._ticks(motor.angle))
-        memory.set("present_velocity", round(sign * motor.velocity / VELOCITY_UNIT))
-        if table.current_unit is not None:
-            counts = sign * motor.current * table.stall_current / table.current_unit
-            memory.set("present_current", max(-32768, min(32767, round(counts))))
-        else:
-            load = sign * motor.current * 1000
-            memory.set("present_load", max(-1000, min(1000, round(load))))
+        self._map.show(self.drive, self.supply, self._time)

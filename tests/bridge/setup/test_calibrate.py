@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from bridge.servo.clock import VirtualClock
-from bridge.servo.registers import POSITION_UNIT
+from bridge.servo.registers import control_table
 from bridge.servo.sdk_transport import SdkTransport
 from bridge.setup.calibrate import Limp, Sweep, limp_robot, measured, verify
 from bridge.setup.calibration import (
@@ -27,6 +27,8 @@ from robots.registry import load_robot
 from tests.bridge.setup.rig import never, no, yes
 
 ROBOT = load_robot("marionette")
+TICK = control_table("XL330-M288").units.position
+"""rad."""
 NAMES = ("neck_pan", "l_elbow")
 OFFSET = {"neck_pan": 150, "l_elbow": -300}
 """Ticks by which the horns of this unit sit off."""
@@ -41,7 +43,7 @@ class Unit:
 
     def put(self, name: str, angle: float) -> None:
         servo = self.wire.servo(ROBOT.joint(name).servo.id)
-        servo.place(angle + OFFSET.get(name, 0) * POSITION_UNIT)
+        servo.place(angle + OFFSET.get(name, 0) * TICK)
 
     @contextmanager
     def limp(self, joints: tuple[str, ...] = NAMES):
@@ -85,8 +87,8 @@ def test_zero_and_reach_of_a_unit_are_found():
     for name, (low, high) in ENDS.items():
         joint = found.joints[name]
         assert abs(joint.zero - (2048 + OFFSET[name])) <= 1
-        assert abs(joint.range_min - (joint.zero + low / POSITION_UNIT)) <= 2
-        assert abs(joint.range_max - (joint.zero + high / POSITION_UNIT)) <= 2
+        assert abs(joint.range_min - (joint.zero + low / TICK)) <= 2
+        assert abs(joint.range_max - (joint.zero + high / TICK)) <= 2
         assert joint.firmware is not None
 
 
@@ -137,7 +139,7 @@ def test_a_reach_over_the_end_of_the_turn_is_refused():
 def test_jumps_over_the_end_of_a_turn_are_unrolled():
     sweep = Sweep()
     for tick in (4000, 4090, 10, 100, 4090):
-        sweep.see({"j": tick})
+        sweep.see({"j": tick}, {"j": 4096})
     assert (sweep.low["j"], sweep.high["j"]) == (4000, 4196)
 
 
@@ -178,7 +180,7 @@ def test_a_unit_that_stands_as_calibrated_passes_and_a_turned_horn_does_not():
         for name in NAMES:
             unit.put(name, 0.01)
         assert [d.problems for d in verify(limp, kept, home="zero")] == [(), ()]
-        unit.put("neck_pan", 16 * POSITION_UNIT * 8)  # a spline tooth or so
+        unit.put("neck_pan", 16 * TICK * 8)  # a spline tooth or so
         neck, elbow = verify(limp, kept, home="zero")
     assert "+11." in neck.problems[0]
     assert not elbow.problems

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bridge import stages
-from bridge.servo.registers import POSITION_UNIT, VELOCITY_UNIT, control_table
+from bridge.servo.registers import control_table
 from bridge.virtual import VirtualBus, VirtualServo, virtual_bus_for
 from bridge.virtual.mujoco_plant import MujocoPlant
 from bridge.virtual.plant import PLANTS, SERVO
@@ -29,6 +29,7 @@ ARM = """
 """
 """A weight of 0.5 kg on a massless arm of 0.1 m that points forward: 0.4905 N m at the joint."""
 TORQUE = 0.5 * 9.81 * 0.1
+UNITS = control_table("XM430-W350").units
 
 
 def write(servo: VirtualServo, **registers: int) -> None:
@@ -87,7 +88,7 @@ def test_an_instant_horn_turns_at_its_goal_velocity():
     write(servo, torque_enable=1)
     write(servo, goal_velocity=100)
     servo.advance(0.5)
-    assert servo.angle == pytest.approx(100 * VELOCITY_UNIT * 0.5)
+    assert servo.angle == pytest.approx(100 * UNITS.velocity * 0.5)
     assert servo.get("present_velocity") == 100
 
 
@@ -98,7 +99,7 @@ def test_a_body_sags_below_the_goal_and_its_weight_shows_as_current(tmp_path):
     write(servo, torque_enable=1)
     bus.advance(3.0)
     table = control_table("XM430-W350")
-    stiffness = 4.1 / POSITION_UNIT * 800 / 128 / 885  # N m per rad at full voltage
+    stiffness = 4.1 / UNITS.position * 800 / 128 / 885  # N m per rad at full voltage
     assert servo.angle == pytest.approx(-TORQUE / stiffness, rel=0.02)
     assert table.current_unit is not None
     amperes = servo.get("present_current") * table.current_unit
@@ -116,7 +117,7 @@ def test_torque_acts_along_the_joint_whichever_way_the_servo_is_mounted(tmp_path
     write(servo, goal_position=1300)
     bus.advance(3.0)
     assert servo.get("present_position") == pytest.approx(1300, abs=1)
-    expected = direction * 300 * POSITION_UNIT / 2
+    expected = direction * 300 * UNITS.position / 2
     assert plant.data.qpos[0] == pytest.approx(expected, abs=2e-3)
 
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bridge.servo import packets
-from bridge.servo.registers import POSITION_UNIT, control_table, model_names
+from bridge.servo.registers import control_table, model_names
 from bridge.virtual import VirtualServo
 
 XM430 = control_table("XM430-W350")
@@ -168,15 +168,18 @@ def test_reverse_mode_turns_the_sign():
     servo = VirtualServo(XM430, 1)
     write(servo, "drive_mode", 1)
     servo.place(0.5)
-    assert servo.get("present_position") == 2048 - round(0.5 / POSITION_UNIT)
+    assert servo.get("present_position") == 2048 - round(0.5 / XM430.units.position)
 
 
 @pytest.mark.parametrize("model", model_names())
 def test_every_model_moves_to_its_goal(model):
     servo = ready(model)
-    write(servo, "goal_position", 2500)
+    eighth = servo.table.units.ticks_per_turn / 8
+    goal = round(servo.get("present_position") + eighth)
+    assert write(servo, "goal_position", goal) == 0
     servo.advance(4.0)
-    assert servo.get("present_position") == pytest.approx(2500, abs=3)
+    assert abs(servo.get("present_position") - goal) < max(3, eighth / 100)
+    assert servo.angle == pytest.approx(math.pi / 4, abs=0.01)
 
 
 def test_the_bus_watchdog_stops_a_servo_and_refuses_goals_until_cleared():
