@@ -21,7 +21,7 @@ from robots.files import read_archive
 
 torch = pytest.importorskip("torch")
 
-STEPS, EVERY = 120, 5
+STEPS, EVERY = 60, 5
 CONFIG = """
 name = "test"
 [model]
