@@ -23,8 +23,10 @@ from bridge.servo import packets
 from bridge.servo.packets import Packet, Parser
 from bridge.servo.registers import RETURN_DELAY_UNIT
 from bridge.virtual.faults import FaultPlan
+from bridge.virtual.instructions import Act, single, word
 from bridge.virtual.line_faults import LineFaults, Timed, collide
 from bridge.virtual.plant import Plant
+from bridge.virtual.protocol1 import Protocol1
 from bridge.virtual.servo import VirtualServo
 from bridge.virtual.servo_faults import ServoFaults
 
@@ -32,9 +34,6 @@ SILENCE = 0.05
 """Silence after which half a packet is forgotten, s."""
 ABSENT_WAIT = 0.0005
 """How long the servos behind an absent one wait for it in a sync read, s."""
-CLEAR_KEY = b"\x01\x44\x58\x4c\x22"
-"""Parameters of the one Clear that exists: the multi-turn position."""
-
 Request = tuple[int, int, int]
 """Servo id, address and length of one part of a sync or bulk read."""
 Hearing = list[VirtualServo]
@@ -69,12 +68,12 @@ class VirtualBus:
         self.instructions = 0
         """Instruction packets understood so far."""
         self._parser = Parser()
+        self._protocol1 = Protocol1(self)
         self._heard = 0.0
         self._free = 0.0
         self._line_baud: int | None = None
         self._handlers: dict[int, Callable[[float, Packet, Hearing], Timed]] = {
             packets.PING: self._ping,
-            packets.ACTION: self._action,
             packets.SYNC_READ: self._sync_read,
             packets.FAST_SYNC_READ: self._sync_read,
             packets.SYNC_WRITE: self._sync_write,
@@ -130,14 +129,10 @@ class VirtualBus:
         for packet in self._parser.feed(data):
             if packet.code == packets.STATUS:
                 continue
-            heard = max(now, self._free) + self._duration(packet.size)
-            self._free = heard
-            self.advance(now)
-            self.instructions += 1
-            hearing = self._hearing(now)
-            for servo in hearing:
-                servo.hear(now)
+            hearing = self.hear(now, packet.size, 2)
             answers += self._handlers.get(packet.code, self._single)(now, packet, hearing)
+        if any(servo.protocol == 1 for servo in self.servos):
+            answers += self._protocol1.feed(now, data)
         if self.faults.faults:
             answers = self._line.deliver(now, data, sent, answers, self._duration(1))
         return answers
@@ -146,6 +141,20 @@ class VirtualBus:
 
     def _duration(self, size: int) -> float:
         return size * 10 / self.baud if self.baud else 0.0
+
+    def hear(self, now: float, size: int, protocol: int) -> Hearing:
+        """Let a packet of ``size`` bytes arrive and return the servos that understand it."""
+        self._free = max(now, self._free) + self._duration(size)
+        self.advance(now)
+        self.instructions += 1
+        hearing = [servo for servo in self._hearing(now) if servo.protocol == protocol]
+        for servo in hearing:
+            servo.hear(now)
+        return hearing
+
+    def wait_for_absent(self) -> None:
+        """Let the time pass that those behind an absent servo wait for it."""
+        self._free += ABSENT_WAIT
 
     def _hearing(self, now: float) -> Hearing:
         """Return the servos that hear a packet now: awake, at its rate, and not cut off."""
@@ -163,12 +172,8 @@ class VirtualBus:
                 servos = [s for s in servos if None not in lost and s.id not in lost]
         return servos
 
-    def _status(
-        self, now: float, servo: VirtualServo, error: int, data: bytes = b"", *, answer_as: int = -1
-    ) -> Timed:
+    def _said(self, now: float, servo: VirtualServo, packet: bytes) -> Timed:
         """Return the timed status packet of one servo."""
-        servo_id = servo.id if answer_as < 0 else answer_as
-        packet = packets.status(servo_id, error | servo.alert, data)
         delay = servo.return_delay * RETURN_DELAY_UNIT
         if self.faults.faults:
             delay += self._line.lateness(now, servo.id)
@@ -181,18 +186,25 @@ class VirtualBus:
         self, now: float, answers: list[tuple[VirtualServo, int, bytes]], answer_as: int = -1
     ) -> Timed:
         """Return what is heard of servos that answer to one id: of several, all at once."""
-        if not answers:
+        said: list[tuple[VirtualServo, bytes]] = []
+        for servo, error, data in answers:
+            servo_id = servo.id if answer_as < 0 else answer_as
+            said.append((servo, packets.status(servo_id, error | servo.alert, data)))
+        return self.say(now, said)
+
+    def say(self, now: float, said: list[tuple[VirtualServo, bytes]]) -> Timed:
+        """Return what is heard of servos that send a packet each: of several, all at once."""
+        if not said:
             return []
-        if len(answers) == 1:
-            return self._status(now, *answers[0], answer_as=answer_as)
+        if len(said) == 1:
+            return self._said(now, *said[0])
         free, byte = max(self._free, now), self._duration(1)
         pieces: Timed = []
         ends = [free]
-        for servo, error, data in answers:
+        for servo, packet in said:
             self._free = free
             pieces += [
-                (end - len(packet) * byte, packet)
-                for end, packet in self._status(now, servo, error, data, answer_as=answer_as)
+                (end - len(heard) * byte, heard) for end, heard in self._said(now, servo, packet)
             ]
             ends.append(self._free)
         self._free = max(ends)
@@ -210,49 +222,9 @@ class VirtualBus:
             answers += self._statuses(now, said, answer_as=servo_id)
         return answers
 
-    def _action(self, now: float, packet: Packet, hearing: Hearing) -> Timed:
-        return self._each(now, packet, hearing, lambda servo: (servo.action(), b""), level=2)
-
     def _single(self, now: float, packet: Packet, hearing: Hearing) -> Timed:
         """Carry out an instruction for one servo (or, without answers, for all)."""
-        params = packet.params
-        level = 2
-        if packet.code == packets.READ:
-            level = 1
-
-            def act(servo: VirtualServo) -> tuple[int, bytes]:
-                if len(params) != 4:
-                    return packets.ERROR_LENGTH, b""
-                return servo.read(_word(params, 0), _word(params, 2))
-        elif packet.code in (packets.WRITE, packets.REG_WRITE):
-
-            def act(servo: VirtualServo) -> tuple[int, bytes]:
-                if len(params) < 3:
-                    return packets.ERROR_LENGTH, b""
-                write = servo.write if packet.code == packets.WRITE else servo.register_write
-                return write(_word(params, 0), params[2:]), b""
-        elif packet.code == packets.REBOOT:
-
-            def act(servo: VirtualServo) -> tuple[int, bytes]:
-                servo.reboot(now)
-                return 0, b""
-        elif packet.code == packets.FACTORY_RESET:
-
-            def act(servo: VirtualServo) -> tuple[int, bytes]:
-                if len(params) != 1 or (packet.servo_id == packets.BROADCAST and params[0] == 0xFF):
-                    return packets.ERROR_RANGE, b""
-                return servo.factory_reset(params[0], now), b""
-        elif packet.code == packets.CLEAR:
-
-            def act(servo: VirtualServo) -> tuple[int, bytes]:
-                if params != CLEAR_KEY:
-                    return packets.ERROR_RANGE, b""
-                return servo.clear_turns(), b""
-        else:
-
-            def act(servo: VirtualServo) -> tuple[int, bytes]:
-                return packets.ERROR_INSTRUCTION, b""
-
+        act, level = single(packet, now)
         return self._each(now, packet, hearing, act, level=level)
 
     def _each(
@@ -260,7 +232,7 @@ class VirtualBus:
         now: float,
         packet: Packet,
         hearing: Hearing,
-        act: Callable[[VirtualServo], tuple[int, bytes]],
+        act: Act,
         *,
         level: int,
     ) -> Timed:
@@ -277,7 +249,7 @@ class VirtualBus:
         params = packet.params
         if packet.servo_id != packets.BROADCAST or len(params) < 5:
             return []
-        address, length = _word(params, 0), _word(params, 2)
+        address, length = word(params, 0), word(params, 2)
         requests = [(servo_id, address, length) for servo_id in params[4:]]
         fast = packet.code == packets.FAST_SYNC_READ
         return (self._read_fast if fast else self._read_plain)(now, requests, hearing)
@@ -287,7 +259,7 @@ class VirtualBus:
         if packet.servo_id != packets.BROADCAST or not params or len(params) % 5:
             return []
         requests = [
-            (params[at], _word(params, at + 1), _word(params, at + 3))
+            (params[at], word(params, at + 1), word(params, at + 3))
             for at in range(0, len(params), 5)
         ]
         fast = packet.code == packets.FAST_BULK_READ
@@ -350,7 +322,7 @@ class VirtualBus:
         params = packet.params
         if packet.servo_id != packets.BROADCAST or len(params) < 4:
             return []
-        address, length = _word(params, 0), _word(params, 2)
+        address, length = word(params, 0), word(params, 2)
         if (len(params) - 4) % (length + 1):
             return []
         servos = _by_id(hearing)
@@ -363,11 +335,11 @@ class VirtualBus:
         params, at = packet.params, 0
         servos = _by_id(hearing)
         while packet.servo_id == packets.BROADCAST and at + 5 <= len(params):
-            length = _word(params, at + 3)
+            length = word(params, at + 3)
             data = params[at + 5 : at + 5 + length]
             for servo in servos.get(params[at], ()):
                 if len(data) == length:
-                    servo.write(_word(params, at + 1), data)
+                    servo.write(word(params, at + 1), data)
             at += 5 + length
         return []
 
@@ -391,7 +363,3 @@ def _addressed(servo_id: int, hearing: Hearing) -> Hearing:
     if servo_id == packets.BROADCAST:
         return hearing
     return [servo for servo in hearing if servo.answers_to(servo_id)]
-
-
-def _word(data: bytes, at: int) -> int:
-    return data[at] | data[at + 1] << 8

@@ -118,6 +118,11 @@ class VirtualServo:
         return self.memory.cells[self._firmware_at] >= self._fast_from and self.return_level >= 1
 
     @property
+    def reads_bulk(self) -> bool:
+        """Whether it takes part in the Bulk Read of Protocol 1.0."""
+        return self._has("bulk_read")
+
+    @property
     def return_level(self) -> int:
         """Its Status Return Level."""
         return self.memory.cells[self._level_at]
