@@ -11,6 +11,8 @@ Source: ROBOTIS e-manual, AX-12A, MX-28, MX-64, XL-320.
 
 from __future__ import annotations
 
+import math
+
 from bridge.servo.registers import (
     MODE_CURRENT,
     MODE_EXTENDED_POSITION,
@@ -165,10 +167,9 @@ class ClassicMap(RegisterMap):
     def _show_motion(self, drive: Drive) -> None:
         motor, memory, table = drive.motor, self.memory, self.table
         ticks = self.ticks(motor.angle)
-        if self.mode != MODE_EXTENDED_POSITION:  # the sensor knows one turn, or 300 degrees
-            last = table.highest("ccw_angle_limit")
-            whole = units_turn(self.units.ticks_per_turn, last)
-            ticks = ticks % (last + 1) if whole else max(0, min(last, ticks))
+        if self.mode != MODE_EXTENDED_POSITION:  # the sensor knows one turn, or 300 degrees of it
+            within = (motor.angle + math.pi) % (2 * math.pi) - math.pi
+            ticks = max(0, min(table.highest("ccw_angle_limit"), self.ticks(within)))
         memory.set("present_position", max(-32768, min(32767, ticks)))
         speed = self.sign * motor.velocity
         if self.mode == MODE_PWM:  # in wheel mode a share of the largest torque
@@ -187,11 +188,6 @@ class ClassicMap(RegisterMap):
         self.memory.set("moving", int(abs(drive.motor.velocity) > self.units.velocity))
         if "realtime_tick" in self.table:
             self.memory.set("realtime_tick", int(time * 1e3) % 32768)
-
-
-def units_turn(ticks_per_turn: float, last: int) -> bool:
-    """Whether positions from 0 to ``last`` are a whole turn."""
-    return round(ticks_per_turn) == last + 1
 
 
 def _signed(count: int) -> int:

@@ -33,6 +33,8 @@ STORE, RESTORE = 1, 2
 """What a Control Table Backup is asked for."""
 TORQUE_AT_BOOT, RESTORE_RAM = 0x01, 0x02
 """Bits of Startup Configuration."""
+JUDGED = ("input voltage", "overheating", "overload")
+"""Errors that follow from its state."""
 GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
 
 
@@ -94,6 +96,7 @@ class VirtualServo:
         first = table.fast_read_firmware
         self._fast_from = 256 if first is None else first  # 256: which no firmware reaches
         self._delay_at = table["return_delay_time"].address
+        self._bits = {name: table.error_bit(name) for name in JUDGED}
         self._power_up()
 
     # -- what the bus asks ------------------------------------------------------------------------
@@ -335,12 +338,12 @@ class VirtualServo:
         return 0
 
     def _apply(self, name: str, value: int) -> None:
-        before = self.memory.get(name)
+        before, mode = self.memory.get(name), self._map.mode
         self.memory.set(name, value)
         self._map.written(name, value)
-        if name == "operating_mode" and value != before:
+        if self._map.mode != mode:
             self.memory.reset_names(RESET_BY_MODE)
-            if value == MODE_POSITION:
+            if self._map.mode == MODE_POSITION:
                 self._one_turn()
         elif name == "torque_enable" and value and not before:
             self._rest()
@@ -396,7 +399,7 @@ class VirtualServo:
             self._judge("overload", True)
 
     def _judge(self, meaning: str, wrong: bool) -> None:
-        bit = self.table.error_bit(meaning)
+        bit = self._bits[meaning]
         if bit is None:
             return
         if wrong:
