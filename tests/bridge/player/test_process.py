@@ -25,6 +25,8 @@ from bridge.virtual import PtyServer, VirtualBus, virtual_bus_for
 from robots.errors import BusError, GateRefused, PortLost
 from tests.bridge.player.stage import FEW, ROBOTS, states, write_duet
 
+pytestmark = pytest.mark.realtime
+
 QUICK = PlayerSettings(
     rate=30,
     ramp_time=0.5,
