@@ -22,13 +22,14 @@ cannot is in ``SAFETY.md``.
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
 from bridge.gate import Verdict
-from bridge.plan import plan, select
+from bridge.plan import Part, plan, select
 from bridge.player.performer import Performer
 from bridge.player.puppet import Puppet
 from bridge.player.settings import DEFAULT_RATE, PlayerSettings
@@ -36,10 +37,13 @@ from bridge.player.streamer import OnProgress
 from bridge.player.telemetry import Performance, Telemetry
 from bridge.ports import VIRTUAL, Connect, Ports, connect, ports_of
 from bridge.servo.clock import Clock, MonotonicClock
+from bridge.setup.budget import budgets
 from bridge.stop import StopRequest, relaxed_at_exit
 from bridge.trajectory import JointTrajectory
 from robots.errors import GateRefused, SpecError
 from robots.spec import RobotSpec
+
+log = logging.getLogger(__name__)
 
 PEOPLE = ("a", "b")
 BACKUPS = Path("servo-backups")
@@ -91,7 +95,8 @@ def play(
     Raises:
         LimitViolation: A trajectory does not fit its robot; nothing was opened.
         GateRefused: The report did not pass, or real ports are not armed; nothing was opened.
-        SpecError: Ports or joints are not as they should be; nothing was opened.
+        SpecError: Ports or joints are not as they should be, or no wire carries as many ticks;
+            nothing was opened.
         BusError: Hardware failed; both robots were frozen and relaxed as far as that was possible.
     """
     settings = settings or PlayerSettings()
@@ -102,6 +107,7 @@ def play(
     wires = [ports_of(robot, port) for robot, port in zip(robots, ports, strict=True)]
     _require_allowed(gate, wires, moves=not settings.dry_run, arm=arm, force=force)
     rate = settings.rate or min(DEFAULT_RATE, 1000 / max(robot.cycle_ms for robot in robots))
+    _require_budget(parts, rate)
     stop = stop or StopRequest()
     with ExitStack() as stack:
         file = stack.enter_context(Telemetry(telemetry))
@@ -131,6 +137,31 @@ def play(
         )
         stack.enter_context(relaxed_at_exit(stop))
         return performer.run()
+
+
+def _require_budget(parts: Sequence[Part], rate: float) -> None:
+    """Refuse a rate that the bytes of a tick alone make impossible.
+
+    Raises:
+        SpecError: Naming robot, bus and what its bit rate allows.
+    """
+    for part in parts:
+        for budget in budgets(part.robot):
+            where = f"{part.robot.name}: bus.{budget.bus}"
+            if rate > budget.best:
+                raise SpecError(
+                    f"{rate:g} ticks a second to {budget.servos} servos at {budget.baud} bit/s",
+                    where=where,
+                    allowed=f"at most {budget.best:.0f}",
+                    hint="play at a lower --rate, or give the servos a higher bit rate",
+                )
+            if rate > budget.plain:
+                log.warning(
+                    "%s: %g ticks a second need Fast Sync Read; without, %.0f are possible",
+                    where,
+                    rate,
+                    budget.plain,
+                )
 
 
 def _require_allowed(

@@ -11,7 +11,7 @@ import numpy as np
 
 from bridge.plan import Part
 from bridge.player.governor import Governor
-from bridge.player.health import Finding
+from bridge.player.health import Finding, Level
 from bridge.player.link import Eeprom, Link
 from bridge.player.settings import PlayerSettings
 from bridge.servo.bus import ServoBus
@@ -19,16 +19,20 @@ from bridge.servo.clock import Clock
 from bridge.servo.registers import VOLTAGE_UNIT
 from bridge.servo.state import ServoState
 from bridge.servo.transport import Transport
-from robots.errors import BusError, BusTimeout, ServoFault
+from robots.errors import BusCorrupt, BusError, BusTimeout, ServoFault
 from robots.skeleton import FloatArray
 
 log = logging.getLogger(__name__)
 
 HEALTH = (
-    *("present_temperature", "torque_enable", "bus_watchdog", "torque_enable"),
-    *("present_input_voltage", "torque_enable", "bus_watchdog", "torque_enable"),
+    *("present_temperature", "torque_enable", "goal_position", "bus_watchdog", "torque_enable"),
+    *("present_input_voltage", "torque_enable", "goal_position", "bus_watchdog", "torque_enable"),
 )
 """Registers read in turn while playing."""
+LOST_GOALS = 3
+"""Looks in a row at which a servo may hold another goal than the one that was just sent."""
+GOAL_SLACK = math.radians(0.2)
+"""How far a goal that is read back may be from the one sent, rad: more than two ticks."""
 STALE = 0.2
 """Age of a position from which on it bounds no goal any more, s."""
 
@@ -79,6 +83,7 @@ class Puppet:
         self._missed = np.zeros(count, int)
         self._astray_since = np.full(count, np.nan)
         self._judged = math.nan
+        self._lost_goals = np.zeros(count, int)
         self._looks = 0
 
     @property
@@ -109,7 +114,14 @@ class Puppet:
         for link in self.links:
             bus = link.bus
             take = bus.standing if self.settings.dry_run else bus.hold_present
-            self.goal[link.columns] = take(self.settings.start_tolerance)
+            try:
+                self.goal[link.columns] = take(self.settings.start_tolerance)
+            except BusCorrupt as error:
+                raise BusCorrupt(
+                    error.what,
+                    where=error.where,
+                    hint="do two servos share this id? 'pasdedeux scan' tells; or check the cable",
+                ) from error
         self._rest_at_goal()
 
     def torque_on(self) -> None:
@@ -242,16 +254,16 @@ class Puppet:
         """Read the next of the slow registers; return its name, values by joint, and findings.
 
         Raises:
-            ServoFault: Torque is off or the bus watchdog has tripped in the middle of a dance.
+            ServoFault: Torque is off or the bus watchdog has tripped in the middle of a dance, or a
+                servo does not take its goals.
         """
         register = HEALTH[self._looks % len(HEALTH)]
         self._looks += 1
-        scale = VOLTAGE_UNIT if register == "present_input_voltage" else 1.0
         every: dict[str, float] = {}
         findings: list[Finding] = []
         for link in self.links:
             raw = link.attempt(lambda link=link: link.bus.ask(register)) or {}
-            values = {name: round(value * scale, 3) for name, value in raw.items()}
+            values = _in_units(link.bus, register, raw)
             every |= values
             if link.health is not None:
                 findings += link.health.look(register, values)
@@ -261,7 +273,35 @@ class Puppet:
             self._raise_for("has lost its torque", (n for n, v in every.items() if not v))
         elif register == "bus_watchdog":
             self._raise_for("was stopped by its watchdog", (n for n, v in every.items() if v < 0))
+        elif register == "goal_position":
+            findings += self._compare_goals(every)
         return register, every, findings
+
+    def _compare_goals(self, held: Mapping[str, float]) -> list[Finding]:
+        """Judge goals that were read back; nobody answers the packets that carry them.
+
+        Raises:
+            ServoFault: A servo has held another goal in too many looks.
+        """
+        findings: list[Finding] = []
+        for name, goal in held.items():
+            index = self.names.index(name)
+            off = abs(goal - self.goal[index])
+            if off <= GOAL_SLACK:
+                self._lost_goals[index] = 0
+                continue
+            self._lost_goals[index] += 1
+            if self._lost_goals[index] >= LOST_GOALS:
+                raise ServoFault(
+                    f"does not take its goals: it holds one {math.degrees(off):.1f} degrees off",
+                    where=self._list(np.array([index])),
+                    hint="check its position limits and the cable",
+                )
+            if self._lost_goals[index] == 1:
+                findings.append(Finding(Level.WARN, name, "did not get its last goal"))
+        if self._lost_goals.any():
+            self._looks -= 1  # the same once more, soon: was it chance?
+        return findings
 
     # -- coming back and letting go ---------------------------------------------------------------
 
@@ -310,6 +350,17 @@ class Puppet:
     def _list(self, indices: np.ndarray) -> str:
         joints = [self.part.robot.joints[int(index)] for index in indices]
         return ", ".join(f"{joint.name} (id {joint.servo.id})" for joint in joints)
+
+
+def _in_units(bus: ServoBus, register: str, raw: Mapping[str, int]) -> dict[str, float]:
+    """Return values by joint in V and rad where they are voltages and positions."""
+    if register == "goal_position":
+        ticks = np.array([raw.get(name, 0) for name in bus.joint_names])
+        angles = bus.scale.from_ticks(ticks)
+        every = zip(bus.joint_names, angles, strict=True)
+        return {name: round(float(angle), 5) for name, angle in every if name in raw}
+    scale = VOLTAGE_UNIT if register == "present_input_voltage" else 1.0
+    return {name: round(value * scale, 3) for name, value in raw.items()}
 
 
 def _since(before: FloatArray, bad: np.ndarray, now: float) -> FloatArray:
