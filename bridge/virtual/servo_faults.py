@@ -17,7 +17,6 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from bridge.servo.registers import BAUD_RATES
 from bridge.virtual.faults import Fault, FaultPlan
 from bridge.virtual.servo import VirtualServo
 
@@ -125,7 +124,10 @@ def _supply(servo: VirtualServo, before: float, values: list[float], when: float
 
 
 def _baud(servo: VirtualServo, before: int, values: list[float], when: float) -> None:
-    index = BAUD_RATES.index(int(values[-1])) if values else before
+    rates = servo.table.bauds.items()
+    index = before
+    if values:  # a servo that does not know the rate keeps its own
+        index = next((count for count, rate in rates if rate == values[-1]), before)
     if index != servo.baud_index:
         servo.memory.set("baud_rate", index)
         servo.reboot(when if math.isfinite(servo.boots_at) else math.inf)

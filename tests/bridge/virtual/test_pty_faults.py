@@ -16,6 +16,7 @@ from bridge.virtual import Fault, FaultPlan, PtyServer, VirtualBus, VirtualServo
 from robots.errors import BusError, PortLost
 
 XM430 = control_table("XM430-W350")
+pytestmark = pytest.mark.realtime
 PATIENCE = 20.0
 """s; a busy machine needs longer than the faults do."""
 
