@@ -241,13 +241,12 @@ def test_a_killed_batch_loses_no_finished_clip(wave: DuetMotion, tmp_path: Path)
     out = tmp_path / "out"
     words = ["track", tmp_path / "in", "-o", out, "--jobs", "1", *ASSIST]
     command = [sys.executable, "-m", "bridge.cli.main", *map(str, words)]
-    batch = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    batch = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 120
     while not (out / "0" / "track.json").exists() and time.monotonic() < deadline:
         time.sleep(0.01)
     os.kill(batch.pid, signal.SIGKILL)
-    batch.wait()
-    time.sleep(2.0)  # the orphaned worker ends with the clip in hand
+    batch.communicate(timeout=120)  # until the orphaned worker has ended, with the clip in hand
     finished = {
         path.parent.name: (path.stat().st_mtime_ns, json.loads(path.read_text())["success"])
         for path in out.glob("*/track.json")

@@ -80,14 +80,18 @@ def test_hands_that_are_to_meet_do(rollout, motion):
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_rollout_on_one_thread_or_two(motion, rollout):
-    again = track(motion, settings=TrackSettings(ilqr=IlqrSettings(threads=1)))
-    assert np.array_equal(again.qpos, rollout.qpos)
+def test_the_same_seed_gives_the_same_rollout_on_one_thread_or_two(motion):
+    short = cut(motion, 0.3, 0.9)
+    one, two = (
+        track(short, settings=TrackSettings(ilqr=IlqrSettings(threads=threads)))
+        for threads in (1, 2)
+    )
+    assert np.array_equal(one.qpos, two.qpos)
 
 
 @pytest.mark.slow
 def test_springs_without_plans_fall_where_plans_stand(motion):
-    walk = cut(choreograph("walk_together", seed=0), 1.0, 3.5)
+    walk = cut(choreograph("walk_together", seed=0), 1.0, 2.8)
     springs = track(
         walk,
         settings=TrackSettings(controller="assist", assist=AssistLimits(max_force=0, max_torque=0)),

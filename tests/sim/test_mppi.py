@@ -200,7 +200,7 @@ def test_walkers_stay_on_their_feet_where_springs_alone_fall():
     none = AssistLimits(max_force=0, max_torque=0)
     alone = track(motion, settings=TrackSettings(controller="assist", assist=none))
     planned = track(
-        motion, settings=TrackSettings(controller="mppi", mppi=MppiSettings(samples=64))
+        motion, settings=TrackSettings(controller="mppi", mppi=MppiSettings(samples=32))
     )
     assert any(alone.fell.values())
     assert planned.fell == {"a": False, "b": False}
