@@ -60,6 +60,8 @@ class RunSettings:
     """Perform what the report refuses (virtual servos only)."""
     video: bool = True
     """Draw the video and the picture."""
+    shown: str = stages.SHOWN[0]
+    """What the puppets do in them, one of :data:`~bridge.stages.SHOWN`."""
     request: MotionRequest = field(default_factory=lambda: FROM_FILE)
     """What a motion file leaves unsaid."""
 
@@ -137,13 +139,7 @@ def run(settings: RunSettings, *, stage: Stage, say: Callable[[str], None]) -> R
     if settings.video:
         try:
             with timed("film"):
-                count = stages.film(
-                    out / stages.ROLLOUT,
-                    (out / stages.TRAJECTORIES[0], out / stages.TRAJECTORIES[1]),
-                    out,
-                    moment=_highlight(motion),
-                    robots=settings.robots,
-                )
+                count = _film(settings, _highlight(motion), retargeting, performance)
             pictures = f"{count} frames"
         except RenderError as error:
             pictures = f"none: {error}"
@@ -167,6 +163,23 @@ def run(settings: RunSettings, *, stage: Stage, say: Callable[[str], None]) -> R
     if performance is not None and not performance.completed:
         code = 130
     return RunResult(summary, code)
+
+
+def _film(
+    settings: RunSettings,
+    moment: float,
+    retargeting: dict[str, Any],
+    performance: Performance | None,
+) -> int:
+    out, deeds = settings.out, settings.shown == "servos" and performance is not None
+    return stages.film(
+        out / stages.ROLLOUT,
+        (out / stages.TRAJECTORIES[0], out / stages.TRAJECTORIES[1]),
+        out,
+        moment=moment * retargeting["slowed_by"] / settings.speed if deeds else moment,
+        robots=settings.robots,
+        telemetry=out / stages.TELEMETRY if deeds else None,
+    )
 
 
 def _motion(settings: RunSettings, progress: Progress) -> dict[str, Any]:

@@ -39,6 +39,8 @@ Progress = Callable[[float], None]
 
 GENERATORS = ("choreographer", "intergen")
 CONTROLLERS = ("ilqr", "mppi", "assist")
+SHOWN = ("plan", "servos")
+"""What puppets in a film do: what the trajectories ask for, or what the servos did."""
 PLANTS = ("servo", "mujoco", "instant")
 """What virtual servos move: as in :data:`bridge.virtual.plant.PLANTS`, the default first."""
 TRANSPORTS = ("sdk", "rustypot")
@@ -311,6 +313,7 @@ def film(
     *,
     moment: float,
     robots: tuple[str, str] | None = None,
+    telemetry: Path | None = None,
 ) -> int:
     """Write ``video.mp4`` and ``picture.png`` into a folder; return the number of frames.
 
@@ -320,6 +323,8 @@ def film(
         out: Folder.
         moment: Time of the picture, s.
         robots: Names or folders of the robots, if they are not built in.
+        telemetry: Show what its servos did instead of what the trajectories ask for, in the time
+            that it took. The trajectories beside it say where the robots stand.
 
     Raises:
         RenderError: There is no OpenGL that draws offscreen.
@@ -329,7 +334,8 @@ def film(
     from bridge.show import clips_of
     from sim.video import write_picture, write_video
 
-    clips = clips_of((rollout, *trajectories), FROM_FILE, robots)
+    puppets = trajectories if telemetry is None else (telemetry,)
+    clips = clips_of((rollout, *puppets), FROM_FILE, robots)
     still = FrameKeeper(frames(clips), round(moment * FPS))
     count = write_video(out / VIDEO, still, FPS)
     write_picture(out / PICTURE, still.kept)

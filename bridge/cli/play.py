@@ -44,6 +44,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--speed", type=float, default=1.0, help="of the dance; 0.3 for a first run on metal"
     )
     parser.add_argument(
+        "--end",
+        choices=("rest", "hold"),
+        default="rest",
+        help="where the robots end before they go limp: in their rest pose (default), or in the"
+        " last one",
+    )
+    parser.add_argument(
         "--dry-run", action="store_true", help="everything but torque, goals and settings"
     )
     parser.add_argument("--only", nargs="+", metavar="JOINT", help="joints that play")
@@ -88,7 +95,9 @@ def execute(args: argparse.Namespace, console: Console) -> int:
             ports=(ports[0], ports[1]),
             plant=args.plant,
             transport=args.transport,
-            settings=PlayerSettings(speed=args.speed, rate=args.rate, dry_run=args.dry_run),
+            settings=PlayerSettings(
+                speed=args.speed, rate=args.rate, end=args.end, dry_run=args.dry_run
+            ),
             arm=args.arm,
             force=args.force,
             only=args.only,

@@ -38,6 +38,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_plant(parser)
     parser.add_argument("--force", action="store_true", help="perform even what the report refuses")
     parser.add_argument("--no-video", action="store_true", help="leave video and picture out")
+    parser.add_argument(
+        "--show",
+        choices=stages.SHOWN,
+        default=stages.SHOWN[0],
+        help="what the puppets in the video do: what was planned (default), or what the servos"
+        " did, from the telemetry",
+    )
     add_motion_request(parser)
 
 
@@ -58,6 +65,7 @@ def execute(args: argparse.Namespace, console: Console) -> int:
         plant=args.plant,
         force=args.force,
         video=not args.no_video,
+        shown=args.show,
         request=motion_request(args),
     )
     result = run(settings, stage=console.stage, say=console.say)
