@@ -48,9 +48,9 @@ class LongWay(VirtualServo):
     def _goals_without_rule(self) -> tuple[int, int]:
         return 0, -1
 
-    def _publish_motion(self) -> None:
-        self._shown = (math.nan, math.nan, math.nan)
-        super()._publish_motion()
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        self._map._shown = (math.nan, math.nan, math.nan)
+        return super().read(address, length)
 
 
 def word(*values: int) -> bytes:
