@@ -7,8 +7,6 @@ import math
 import os
 import select
 import sys
-import termios
-import tty
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -106,6 +104,11 @@ def _late(stack: ExitStack) -> Callable[[], str | None]:
 @contextmanager
 def _keys() -> Iterator[Callable[[], str | None]]:
     """Yield what gives the next key that was pressed, as :mod:`bridge.setup.jog` names them."""
+    try:
+        import termios
+        import tty
+    except ImportError as error:
+        raise SpecError("this system has no terminals that give single keys") from error
     fd = sys.stdin.fileno()
     before = termios.tcgetattr(fd) if os.isatty(fd) else None
     if before is not None:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import termios
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-
-import serial
 
 from bridge.ports import VIRTUAL
 from bridge.servo.access import RegisterAccess
@@ -15,7 +12,7 @@ from bridge.servo.clock import Clock, MonotonicClock
 from bridge.servo.lock import PortLock
 from bridge.servo.packets import STATUS, Packet, Parser
 from bridge.servo.sdk_transport import SdkTransport
-from bridge.servo.serial_port import OpenSerial, SerialPort, open_serial
+from bridge.servo.serial_port import PORT_ERRORS, OpenSerial, SerialPort, open_serial
 from bridge.virtual.process import virtual_port
 from robots.errors import PortLost, SpecError, nearest
 from robots.spec import JointSpec, RobotSpec, ServoSpec
@@ -53,7 +50,7 @@ class Line:
         """
         try:
             device = self.opener(self.port, baud)
-        except (OSError, ValueError, termios.error, serial.SerialException) as error:
+        except (*PORT_ERRORS, ValueError) as error:
             raise PortLost(
                 f"cannot be opened at {baud} bit/s: {error}",
                 where=self.port,
@@ -61,12 +58,12 @@ class Line:
             ) from error
         try:
             yield device
-        except (OSError, termios.error, serial.SerialException) as error:
+        except PORT_ERRORS as error:
             raise PortLost(
                 f"has gone away: {error}", where=self.port, hint="check cable and adapter"
             ) from error
         finally:
-            with suppress(OSError, termios.error, serial.SerialException):
+            with suppress(*PORT_ERRORS):
                 device.close()
 
     def exchange(self, device: SerialPort, packet: bytes, wait: float) -> Heard:

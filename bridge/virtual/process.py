@@ -17,7 +17,6 @@ from contextlib import contextmanager
 
 from bridge.virtual.build import virtual_bus_for
 from bridge.virtual.plant import SERVO, require_plant
-from bridge.virtual.pty import PtyServer
 from robots.errors import PortLost
 from robots.registry import load_robot
 from robots.spec import RobotSpec
@@ -38,9 +37,11 @@ def virtual_port(robot: RobotSpec, bus: str, plant: str = SERVO) -> Iterator[str
         plant: What moves, one of :data:`~bridge.virtual.plant.PLANTS`.
 
     Raises:
-        PortLost: The child did not start.
+        PortLost: The child did not start, or there are no pseudo-terminals here.
         SpecError: There is no such plant, or it is none for this robot.
     """
+    from bridge.virtual import PtyServer  # which not every system has
+
     require_plant(plant, robot)
     if load_robot(str(robot.folder)) != robot:
         with PtyServer(virtual_bus_for(robot, bus, plant=plant), timing=True) as server:
@@ -88,6 +89,8 @@ def _announced_port(child: subprocess.Popen[str], name: str) -> str:
 
 def main() -> None:
     """Serve the bus named on the command line until standard input closes."""
+    from bridge.virtual import PtyServer
+
     folder, bus, plant = sys.argv[1:4]
     gc.freeze()  # what is loaded by now stays: a sweep over it would delay answers
     served = virtual_bus_for(load_robot(folder), bus, plant=plant)
