@@ -15,6 +15,7 @@ VARIANTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
         "everything": {},
         "without ghost": {"ghost": False},
+        "ghost that does not yield": {"ghost": True},
         "without feedback": {"feedback": False},
         "without contact cost": {"touch": False},
         "without derivative cache": {"cache": 0.0},

@@ -75,9 +75,9 @@ class IlqrSettings:
     cache: float = 3.0
     """How far a knot may have moved for its derivatives to be kept, in units of 0.01 rad, 0.3 rad/s
     and 0.05 rad of control; 0 takes all of them anew for every plan."""
-    ghost: bool | Literal["yielding"] = True
-    """Whether plans see the partner: as bodies that nothing moves, or as ``yielding`` ones, which
-    can be pushed away with the partner's weight."""
+    ghost: bool | Literal["yielding"] = "yielding"
+    """Whether plans see the partner: as bodies that can be pushed away with the partner's weight
+    (``yielding``), as ones that nothing moves (True), or not at all."""
     feedback: bool = True
     """Whether the time-varying LQR gains act between plans."""
     touch: bool = True
