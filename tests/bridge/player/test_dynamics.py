@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 
 from bridge.player import PlayerSettings, Verdict, play
+from bridge.player.process import conduct
 from bridge.player.recording import Recording
+from bridge.player.request import PlayRequest
 from bridge.player.telemetry import Performance
 from bridge.servo.clock import VirtualClock
 from bridge.servo.sdk_transport import SdkTransport
 from bridge.show import clip_of_telemetry
+from bridge.stages import TRAJECTORIES
 from bridge.trajectory import JointTrajectory
 from bridge.virtual import VirtualSerial, virtual_bus_for
 from robots.registry import load_robot
@@ -83,3 +86,35 @@ def test_a_minute_of_two_walking_robots_on_their_own_bodies_stays_in_step(tmp_pa
     shown = clip.qpos[np.rint(recording.times * clip.fps).astype(int)][:, columns]
     # The nearest picture is up to half a frame from the tick: 8 ms at less than 6 rad/s.
     np.testing.assert_allclose(shown, recording.people[1].present, atol=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
+def test_five_seconds_of_it_in_real_time_over_two_terminals_can_be_watched_afterwards(tmp_path):
+    """The same with everything that a command does: processes, wires, clocks of their own."""
+    paths = tuple(tmp_path / name for name in TRAJECTORIES)
+    for path, phase in zip(paths, (0.0, 1.0), strict=True):
+        dance(5.0, phase).save(path)
+    telemetry = tmp_path / "telemetry.jsonl"
+    settings = PlayerSettings(rate=30, ramp_time=1.0, settle_time=0.2, end="hold", max_stall=2)
+    performance = conduct(
+        PlayRequest(
+            trajectories=(paths[0], paths[1]),
+            telemetry=telemetry,
+            plant="mujoco",
+            settings=settings,
+            force=True,
+        )
+    )
+    assert performance.completed
+    assert performance.ticks > 75  # of 151: the machine may have other things to do
+    assert performance.skew_p99_ms < 20
+    for track in performance.tracking.values():
+        assert 0.5 < track.rms_deg < 5.0
+        assert 10 < track.lag_ms < 150
+    clip = clip_of_telemetry(telemetry)
+    assert len(clip.qpos) / clip.fps == pytest.approx(5.2, abs=0.5)
+    moved = np.ptp(clip.qpos, axis=0)
+    for person in "ab":
+        columns = [clip.model.joint(f"{person}/{name}").qposadr[0] for name in OP3.joint_names]
+        assert (moved[columns] > 0.05).all()
