@@ -272,8 +272,9 @@ class Planner:
     ) -> tuple[FloatArray, float]:
         """Return the gradient ``[H+1, 2 nv]`` of the cost of states, and the cost without touch."""
         error = np.stack([self.cost.error(tick + h, qpos[h], qvel[h]) for h in range(len(qpos))])
-        halves = error.astype(np.float32).reshape(len(error), 2, -1, 1)
-        pull = (self._hessians @ halves).reshape(error.shape).astype(np.float64)
+        with np.errstate(over="ignore", invalid="ignore"):  # of physics that diverged
+            halves = error.astype(np.float32).reshape(len(error), 2, -1, 1)
+            pull = (self._hessians @ halves).reshape(error.shape).astype(np.float64)
         of_controls = np.square(control - self._wanted) @ self.cost.control
         return pull, 0.5 * float((error[1:] * pull[1:]).sum() + of_controls.sum())
 
