@@ -54,16 +54,18 @@ def is_paused(event: threading.Event) -> bool:
 
 @contextmanager
 def stop_on_signals() -> Iterator[StopRequest]:
-    """Turn Ctrl-C, SIGTERM and SIGHUP into a stop request while the block runs.
+    """Turn Ctrl-C, Ctrl-Z, SIGTERM and SIGHUP into a stop request while the block runs.
 
-    SIGUSR1 asks for a pause and for its end. Outside the main thread signals cannot be caught, and
+    A program that Ctrl-Z has suspended could stop nothing any more. SIGUSR1 asks for a pause and
+    for its end. Outside the main thread signals cannot be caught, and
     the request is only ever set by hand.
     """
     stop = StopRequest()
     if threading.current_thread() is not threading.main_thread():
         yield stop
         return
-    actions = {"SIGINT": stop.set, "SIGTERM": stop.set, "SIGHUP": stop.set, "SIGUSR1": stop.pause}
+    stopping = ("SIGINT", "SIGTSTP", "SIGTERM", "SIGHUP")
+    actions = {**dict.fromkeys(stopping, stop.set), "SIGUSR1": stop.pause}
     before = {}
     for name, action in actions.items():
         number = getattr(signal, name, None)  # not every system has all of them

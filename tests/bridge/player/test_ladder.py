@@ -183,7 +183,7 @@ def test_torque_off_reaches_servos_whatever_failed_before(monkeypatch):
 def test_signals_stop_and_pause():
     before = signal.getsignal(signal.SIGHUP)
     with stop_on_signals() as stop:
-        for count, number in enumerate((signal.SIGHUP, signal.SIGTERM, signal.SIGINT), 1):
+        for count, number in enumerate((signal.SIGHUP, signal.SIGTERM, signal.SIGTSTP), 1):
             signal.raise_signal(number)
             assert stop_level(stop) == count
         signal.raise_signal(signal.SIGINT)
