@@ -18,6 +18,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--baud", type=int, nargs="+", metavar="B", help="only these rates (default: all)"
     )
     parser.add_argument(
+        "--protocol",
+        type=int,
+        nargs="+",
+        choices=(1, 2),
+        default=[1, 2],
+        metavar="P",
+        help="only this one (default: 2 and 1; 1 takes 5 s and more for each rate, its two factory"
+        " rates or those of --baud)",
+    )
+    parser.add_argument(
         "--compare", action="store_true", help="with what --robot's file says is there"
     )
     add_robot(parser)
@@ -27,25 +37,34 @@ def execute(args: argparse.Namespace, console: Console) -> int:
     """Scan and tell; 3 if nobody answers or something is wrong."""
     from bridge.servo.registers import BAUD_RATES
     from bridge.setup.line import bus_name, line_of
-    from bridge.setup.scan import mismatches, scan
+    from bridge.setup.scan import OLD_BAUDS, mismatches, old_rates, scan
     from robots.errors import SpecError
     from robots.registry import load_robot
 
-    bauds = tuple(args.baud or BAUD_RATES)
-    for baud in bauds:
-        if baud not in BAUD_RATES:
-            raise SpecError(f"--baud {baud}", allowed=", ".join(map(str, BAUD_RATES)))
+    rates = {2: BAUD_RATES, 1: old_rates()}
+    known = sorted({rate for protocol in args.protocol for rate in rates[protocol]})
+    for baud in args.baud or ():
+        if baud not in known:
+            raise SpecError(f"--baud {baud}", allowed=", ".join(map(str, known)))
     robot = load_robot(args.robot)
     with line_of(args.port, robot, args.bus) as line, console.stage("scan") as progress:
-        found = scan(line, bauds, progress=progress)
+        new = [baud for baud in args.baud or BAUD_RATES if baud in rates[2]]
+        old = [baud for baud in args.baud or OLD_BAUDS if baud in rates[1]]
+        found = scan(
+            line,
+            new if 2 in args.protocol else (),
+            old_bauds=old if 1 in args.protocol else (),
+            progress=progress,
+        )
     wrong = mismatches(found, robot, bus_name(robot, args.bus)) if args.compare else []
     console.table(
         f"{len(found.servos)} servos at {found.port}",
-        ["id", "bit/s", "model", "firmware", "notes"],
+        ["id", "bit/s", "protocol", "model", "firmware", "notes"],
         [
             [
                 f"[red]{s.id}[/]" if s.clash else str(s.id),
                 str(s.baud),
+                f"{s.protocol}.0",
                 s.model,
                 "?" if s.firmware is None else str(s.firmware),
                 "; ".join(s.notes),
@@ -60,12 +79,12 @@ def execute(args: argparse.Namespace, console: Console) -> int:
     for line_ in wrong:
         console.show(line_)
     if not found.servos:
-        console.show("nobody answers: check power and cable; Protocol 2.0 only")
+        console.show("nobody answers: check power and cable")
     clash = any(servo.clash for servo in found.servos)
     console.result(
         {
             "port": found.port,
-            "bauds": list(bauds),
+            "bauds": list(found.bauds),
             "servos": [{**asdict(servo), "model": servo.model} for servo in found.servos],
             "noisy_bauds": list(found.noisy),
             "echo": found.echo,

@@ -7,6 +7,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 
 from bridge.ports import VIRTUAL
+from bridge.servo import protocol1
 from bridge.servo.access import RegisterAccess
 from bridge.servo.clock import Clock, MonotonicClock
 from bridge.servo.lock import PortLock
@@ -23,7 +24,7 @@ class Heard:
     """What came back after one instruction."""
 
     answers: tuple[Packet, ...]
-    """Intact status packets."""
+    """Intact status packets; of Protocol 1.0 as they would be in 2.0, the error in front."""
     garbled: bool
     """Whether bytes came that belong to no packet."""
     echo: bool
@@ -66,20 +67,20 @@ class Line:
             with suppress(*PORT_ERRORS):
                 device.close()
 
-    def exchange(self, device: SerialPort, packet: bytes, wait: float) -> Heard:
+    def exchange(
+        self, device: SerialPort, packet: bytes, wait: float, *, protocol: int = 2
+    ) -> Heard:
         """Send an instruction and listen until the line is silent for ``wait`` s."""
         device.reset_input_buffer()
         device.write(packet)
-        parser, found = Parser(), []
+        received = bytearray()
         end = self.clock.now() + wait
         while self.clock.now() < end:
             data = device.read(max(1, device.in_waiting))
             if data:
-                found += parser.feed(data)
+                received += data
                 end = self.clock.now() + wait
-        parser.reset()
-        answers = tuple(packet for packet in found if packet.code == STATUS)
-        return Heard(answers, parser.dropped > 0, len(answers) < len(found))
+        return _heard_1(received, packet) if protocol == 1 else _heard_2(received)
 
     def transport(self, baud: int) -> SdkTransport:
         """Return a transport, still closed, at ``baud`` bit/s."""
@@ -101,6 +102,28 @@ class Line:
             yield RegisterAccess([joint], transport)
         finally:
             transport.close()
+
+
+def _heard_2(received: bytearray) -> Heard:
+    parser = Parser()
+    found = parser.feed(received)
+    parser.reset()
+    answers = tuple(packet for packet in found if packet.code == STATUS)
+    return Heard(answers, parser.dropped > 0, len(answers) < len(found))
+
+
+def _heard_1(received: bytearray, sent: bytes) -> Heard:
+    """Return what was heard in Protocol 1.0, whose answers carry no mark: an echo comes first."""
+    echo = received.startswith(sent)
+    parser = protocol1.Parser()
+    found = parser.feed(received[len(sent) if echo else 0 :])
+    parser.reset()
+    answers = tuple(
+        Packet(each.servo_id, STATUS, bytes((each.code,)) + each.params, each.size)
+        for each in found
+        if each.intact
+    )
+    return Heard(answers, parser.dropped > 0, echo)
 
 
 @contextmanager

@@ -10,7 +10,10 @@ or, if both say the same bit by bit, a single clean answer. So
 - every servo found is asked a few times for registers in which two servos differ sooner or later
   (position, voltage, time): answers that get damaged then are a clash too.
 
-A servo set to Protocol 1.0 is not found.
+Servos that speak Protocol 1.0 hear none of this, and no broadcast makes them answer. They are asked
+one id after the other, by reading: the answer to a ping can be the very bytes of the ping, so that
+an adapter's echo would look like a servo. That takes five seconds and more at each bit rate, and
+servos with a Status Return Level of 0 stay hidden.
 """
 
 from __future__ import annotations
@@ -19,13 +22,14 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from bridge.servo import packets
+from bridge.servo import packets, protocol1
 from bridge.servo.packets import ALERT, BROADCAST, MAX_ID, Packet, instruction
 from bridge.servo.registers import (
     BAUD_RATES,
     OPERATING_MODES,
     RETURN_DELAY_UNIT,
     ControlTable,
+    Register,
     control_table,
     hardware_error_names,
     model_name,
@@ -39,11 +43,21 @@ BROADCAST_WAIT = 0.8
 """Silence after which nobody else answers a broadcast ping, s: each id has a slot of 3 ms."""
 WAIT = 0.030
 """Silence after which one servo will not answer any more, s, beyond the time on the wire."""
-ANSWER_BYTES = 160
-"""More than any single answer here is long."""
+OLD_WAIT = 0.020
+"""The same for each id of Protocol 1.0: a USB adapter's 16 ms and some."""
+OLD_BAUDS = (57600, 1_000_000)
+"""bit/s at which the Protocol 1.0 servos leave the factory: the MX, and the AX."""
+ANSWER_BYTES, OLD_ANSWER_BYTES = 160, 24
+"""More than question and answer here are long, in the two protocols."""
+OLD_HEAD = 3
+"""Bytes that a Protocol 1.0 servo is asked for first: model number and one more, so that the answer
+has another length than the question."""
 LOOKS = 3
 """How often a servo is asked to be sure that it is alone."""
-LIVELY = ("realtime_tick", "present_position", "present_input_voltage")
+LIVELY = (
+    *("realtime_tick", "present_position", "present_input_voltage"),
+    *("present_voltage", "present_load"),
+)
 """Registers in which two servos of one id differ."""
 
 
@@ -61,6 +75,8 @@ class FoundServo:
     """Whether several servos answer to this id (or its answers get damaged on the way)."""
     notes: tuple[str, ...] = ()
     """What to know before playing."""
+    protocol: int = 2
+    """Protocol that it speaks: 1 or 2."""
 
     @property
     def model(self) -> str:
@@ -83,15 +99,67 @@ class Scan:
     """Whether the adapter hears what it sends."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Call:
+    """A line at one bit rate, in one protocol."""
+
+    line: Line
+    device: SerialPort
+    baud: int
+    protocol: int
+
+    @property
+    def wait(self) -> float:
+        """Silence after which one servo will not answer any more, s."""
+        if self.protocol == 1:
+            return OLD_WAIT + OLD_ANSWER_BYTES * 10 / self.baud
+        return WAIT + ANSWER_BYTES * 10 / self.baud
+
+    def read(self, servo_id: int, address: int, length: int, patience: float = 1.0) -> Heard:
+        """Ask a servo for bytes."""
+        if self.protocol == 1:
+            asked = protocol1.packet(servo_id, protocol1.READ, bytes((address, length)))
+        else:
+            params = address.to_bytes(2, "little") + length.to_bytes(2, "little")
+            asked = instruction(servo_id, packets.READ, params)
+        return self.line.exchange(self.device, asked, patience * self.wait, protocol=self.protocol)
+
+    def ping(self, servo_id: int, wait: float) -> Heard:
+        """Ask a servo, or all, to answer."""
+        return self.line.exchange(self.device, instruction(servo_id, packets.PING), wait)
+
+    def value(self, servo_id: int, register: Register) -> int | None:
+        """Return a register's value; ``None`` without an intact answer."""
+        for answer in self.read(servo_id, register.address, register.length).answers:
+            refused = self.protocol == 2 and answer.params[0] & ~ALERT
+            if not refused and len(answer.params) == register.length + 1:
+                return register.decode(answer.params[1:])
+        return None
+
+
+def old_rates() -> tuple[int, ...]:
+    """Return all bit/s that Protocol 1.0 servos can be set to."""
+    tables = [control_table(name) for name in model_names()]
+    rates = {rate for table in tables if table.protocol == 1 for rate in table.bauds.values()}
+    return tuple(sorted(rates))
+
+
 def scan(
     line: Line,
     bauds: Sequence[int] = BAUD_RATES,
     *,
+    old_bauds: Sequence[int] = (),
     progress: Callable[[float], None] = lambda share: None,
 ) -> Scan:
     """Ask everybody at each bit rate; about a second per rate.
 
     Nothing is written to any servo.
+
+    Args:
+        line: Where.
+        bauds: Rates at which Protocol 2.0 is tried, bit/s.
+        old_bauds: Rates at which Protocol 1.0 is tried, bit/s.
+        progress: Told how much is done.
 
     Raises:
         PortLost: The port cannot be opened at any of the rates, or went away.
@@ -99,97 +167,117 @@ def scan(
     servos: list[FoundServo] = []
     noisy: list[int] = []
     echo = False
-    for count, baud in enumerate(bauds):
-        progress(count / len(bauds))
+    rounds = [(baud, 2) for baud in bauds] + [(baud, 1) for baud in old_bauds]
+    for count, (baud, protocol) in enumerate(rounds):
+        progress(count / len(rounds))
         with line.raw(baud) as device:
-            every = line.exchange(device, _ping(BROADCAST), BROADCAST_WAIT)
-            echo |= every.echo
-            ids = set(_ids(every.answers))
-            if every.garbled:
-                ids.update(range(MAX_ID + 1))
-            found = [_look(line, device, baud, servo_id, every) for servo_id in sorted(ids)]
-        known = [servo for servo in found if servo is not None]
-        if every.garbled and not any(servo.clash for servo in known):
+            call = _Call(line, device, baud, protocol)
+            found, heard = _everybody(call) if protocol == 2 else _one_by_one(call)
+        echo |= heard.echo
+        if heard.garbled and baud not in noisy and not any(servo.clash for servo in found):
             noisy.append(baud)
-        servos += known
+        servos += found
     progress(1.0)
-    return Scan(line.port, tuple(bauds), tuple(servos), tuple(noisy), echo)
+    rates = tuple(dict.fromkeys((*bauds, *old_bauds)))
+    return Scan(line.port, rates, tuple(servos), tuple(noisy), echo)
 
 
-def _ping(servo_id: int) -> bytes:
-    return instruction(servo_id, packets.PING)
+def _everybody(call: _Call) -> tuple[list[FoundServo], Heard]:
+    """Return the Protocol 2.0 servos at a rate, and what a broadcast ping made heard."""
+    every = call.ping(BROADCAST, BROADCAST_WAIT)
+    ids = set(_ids(every.answers))
+    if every.garbled:
+        ids.update(range(MAX_ID + 1))
+    found = [_look(call, servo_id, every) for servo_id in sorted(ids)]
+    return [servo for servo in found if servo is not None], every
+
+
+def _one_by_one(call: _Call) -> tuple[list[FoundServo], Heard]:
+    """Return the Protocol 1.0 servos at a rate, and whether an echo came."""
+    found: list[FoundServo] = []
+    echo = False
+    for servo_id in range(protocol1.MAX_ID + 1):
+        heard = call.read(servo_id, 0, OLD_HEAD)
+        echo |= heard.echo
+        if heard.answers or heard.garbled:
+            found.append(_look_old(call, servo_id, heard))
+    return found, Heard((), garbled=False, echo=echo)
 
 
 def _ids(answers: Iterable[Packet]) -> list[int]:
     return [answer.servo_id for answer in answers if len(answer.params) == 4]
 
 
-def _look(
-    line: Line, device: SerialPort, baud: int, servo_id: int, every: Heard
-) -> FoundServo | None:
+def _look(call: _Call, servo_id: int, every: Heard) -> FoundServo | None:
     """Return the servo (or servos) of an id; ``None`` if nobody answers to it."""
-    wait = WAIT + ANSWER_BYTES * 10 / baud
-    heard = line.exchange(device, _ping(servo_id), wait)
+    heard = call.ping(servo_id, call.wait)
     if not heard.answers and not heard.garbled and servo_id not in _ids(every.answers):
         return None
     clash = heard.garbled or Counter(_ids(every.answers))[servo_id] > 1
     clash |= len(heard.answers) > 1
     if not heard.answers:
-        return FoundServo(servo_id, baud, None, None, clash, ("its answers are damaged",))
+        return FoundServo(servo_id, call.baud, None, None, clash, ("its answers are damaged",))
     params = heard.answers[0].params
     number, firmware = params[1] | params[2] << 8, params[3]
-    notes: list[str] = []
-    name = model_name(number)
-    if name in model_names():
-        table = control_table(name)
-        # Twice, with more patience: an answer that comes late looks like one too many.
-        clash = clash or not any(
-            _is_alone(line, device, servo_id, table, patience) for patience in (wait, 4 * wait)
-        )
-        if not clash:
-            notes = _notes(line, device, servo_id, table, wait)
+    clash, notes = _judge(call, servo_id, number, clash)
+    return FoundServo(servo_id, call.baud, number, firmware, clash, notes)
+
+
+def _look_old(call: _Call, servo_id: int, heard: Heard) -> FoundServo:
+    """Return the Protocol 1.0 servo (or servos) of an id that something was heard of."""
+    whole = [answer for answer in heard.answers if len(answer.params) == OLD_HEAD + 1]
+    clash = heard.garbled or len(heard.answers) > 1
+    if not whole:
+        notes = ("its answers are damaged",)
+        return FoundServo(servo_id, call.baud, None, None, clash, notes, protocol=1)
+    params = whole[0].params
+    number, firmware = params[1] | params[2] << 8, None
+    if model_name(number) in model_names():
+        firmware = call.value(servo_id, control_table(model_name(number))["firmware_version"])
+    clash, notes = _judge(call, servo_id, number, clash)
+    return FoundServo(servo_id, call.baud, number, firmware, clash, notes, protocol=1)
+
+
+def _judge(call: _Call, servo_id: int, number: int, clash: bool) -> tuple[bool, tuple[str, ...]]:
+    """Return whether several servos answer to an id, and what to know about the one that does."""
+    if model_name(number) not in model_names():
+        notes = ["no control table for this model"]
     else:
-        notes.append("no control table for this model")
+        table = control_table(model_name(number))
+        # Twice, with more patience: an answer that comes late looks like one too many.
+        clash = clash or not any(_is_alone(call, servo_id, table, more) for more in (1, 4))
+        notes = [] if clash else _notes(call, servo_id, table)
     if clash:
         notes = ["several servos answer to this id, or the wire damages what it says"]
-    return FoundServo(servo_id, baud, number, firmware, clash, tuple(notes))
+    elif call.protocol == 1:
+        notes.insert(0, "speaks Protocol 1.0: cannot be played")
+    return clash, tuple(notes)
 
 
-def _is_alone(
-    line: Line, device: SerialPort, servo_id: int, table: ControlTable, wait: float
-) -> bool:
+def _is_alone(call: _Call, servo_id: int, table: ControlTable, patience: float) -> bool:
     for _ in range(LOOKS):
         for name in LIVELY:
-            register = table[name]
-            asked = _read(servo_id, register.address, register.length)
-            heard = line.exchange(device, asked, wait)
-            if heard.garbled or len(heard.answers) > 1:
-                return False
+            if name in table:
+                register = table[name]
+                heard = call.read(servo_id, register.address, register.length, patience)
+                if heard.garbled or len(heard.answers) > 1:
+                    return False
     return True
 
 
-def _read(servo_id: int, address: int, length: int) -> bytes:
-    params = address.to_bytes(2, "little") + length.to_bytes(2, "little")
-    return instruction(servo_id, packets.READ, params)
-
-
-def _notes(
-    line: Line, device: SerialPort, servo_id: int, table: ControlTable, wait: float
-) -> list[str]:
+def _notes(call: _Call, servo_id: int, table: ControlTable) -> list[str]:
     """Return what stands in the way of playing, or is slower than it need be."""
     value: dict[str, int] = {}
     for name in (
         *("return_delay_time", "drive_mode", "homing_offset", "operating_mode"),
         *("status_return_level", "torque_enable", "hardware_error_status"),
     ):
-        register = table[name]
-        heard = line.exchange(device, _read(servo_id, register.address, register.length), wait)
-        for answer in heard.answers:
-            if not answer.params[0] & ~ALERT and len(answer.params) == register.length + 1:
-                value[name] = register.decode(answer.params[1:])
+        found = call.value(servo_id, table[name]) if name in table else None
+        if found is not None:
+            value[name] = found
     notes: list[str] = []
     if value.get("hardware_error_status"):
-        errors = ", ".join(hardware_error_names(value["hardware_error_status"]))
+        errors = ", ".join(hardware_error_names(value["hardware_error_status"], table.errors))
         notes.append(f"hardware error: {errors}")
     if value.get("torque_enable"):
         notes.append("torque is on")

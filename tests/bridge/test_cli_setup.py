@@ -39,7 +39,7 @@ def test_a_servo_is_found_gets_its_place_and_comes_back(one_servo, tmp_path, cap
     """The whole of a new servo's way: scan, setup-id, scan, restore."""
     port, _ = one_servo
     at = ("--port", port, "--robot", "marionette")
-    status, found = result(capsys, "scan", *at, "--baud", "57600", "1000000")
+    status, found = result(capsys, "scan", *at, "--baud", "57600", "1000000", "--protocol", "2")
     assert status == 0
     assert [(s["id"], s["baud"], s["model"]) for s in found["servos"]] == [(1, 57600, "XL330-M288")]
 
@@ -63,7 +63,7 @@ def test_a_servo_is_found_gets_its_place_and_comes_back(one_servo, tmp_path, cap
 
 @pytest.mark.realtime
 def test_an_empty_rate_is_a_hardware_fault_with_a_reason(one_servo, capsys):
-    status = main(["scan", "--port", one_servo[0], "--baud", "9600"])
+    status = main(["scan", "--port", one_servo[0], "--baud", "9600", "--protocol", "2"])
     assert status == 3
     assert "nobody answers" in capsys.readouterr().out
 

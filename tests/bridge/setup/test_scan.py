@@ -7,12 +7,15 @@ import errno
 
 import pytest
 
+from bridge.servo.registers import control_table
 from bridge.setup.line import Line
-from bridge.setup.scan import mismatches, scan
-from bridge.virtual import Fault, PtyServer, VirtualBus
+from bridge.setup.scan import OLD_BAUDS, mismatches, scan
+from bridge.virtual import Fault, PtyServer, VirtualBus, VirtualServo
 from robots.errors import PortLost
 from robots.registry import load_robot
 from tests.bridge.setup.rig import XL330, Merging, Rig, servo
+
+AX, MX, PH54 = (control_table(name) for name in ("AX-12A", "MX-28(1.0)", "PH54-200-S500"))
 
 
 def test_servos_are_found_at_every_rate_with_model_and_firmware():
@@ -122,3 +125,48 @@ def test_over_a_terminal_every_servo_is_heard_at_its_own_rate_alone(tmp_path):
         (1, 57600, False),
         (2, 4_500_000, False),
     ]
+
+
+def test_servos_of_protocol_1_are_found_and_named_beside_those_of_protocol_2():
+    old = [VirtualServo(AX, 1), VirtualServo(AX, 253), VirtualServo(MX, 5), servo(1, 1_000_000)]
+    found = scan(Rig(old).line, [1_000_000], old_bauds=OLD_BAUDS)
+    assert [(s.protocol, s.id, s.baud, s.model, s.firmware, s.clash) for s in found.servos] == [
+        (2, 1, 1_000_000, "XM430-W350", 48, False),
+        (1, 5, 57600, "MX-28(1.0)", 40, False),
+        (1, 1, 1_000_000, "AX-12A", 24, False),
+        (1, 253, 1_000_000, "AX-12A", 24, False),
+    ]
+    assert all("cannot be played" in s.notes[0] for s in found.servos[1:])
+    assert found.bauds == (1_000_000, 57600)
+    assert not found.noisy
+
+
+def test_an_x_servo_set_to_protocol_1_is_named_too():
+    odd = servo(6)
+    odd.write(13, b"\x01")
+    (found,) = scan(Rig([odd]).line, [57600], old_bauds=[57600]).servos
+    assert (found.protocol, found.id, found.model, found.firmware) == (1, 6, "XM430-W350", 48)
+
+
+def test_two_servos_of_one_id_clash_in_protocol_1():
+    pair = [VirtualServo(AX, 3, angle=0.1), VirtualServo(AX, 3, angle=0.7), VirtualServo(AX, 4)]
+    found = scan(Rig(pair).line, [], old_bauds=[1_000_000])
+    assert [(s.id, s.clash) for s in found.servos] == [(3, True), (4, False)]
+
+
+def test_an_echo_is_no_servo_and_a_servo_behind_an_echo_is_found():
+    rig = Rig([VirtualServo(AX, 9)], Fault("echo"))
+    found = scan(rig.line, [], old_bauds=[1_000_000])
+    assert found.echo
+    assert [(s.id, s.model) for s in found.servos] == [(9, "AX-12A")]
+
+
+def test_an_xl320_and_a_p_servo_are_found_with_what_ails_them():
+    small, strong = VirtualServo(control_table("XL320"), 1), VirtualServo(PH54, 2, baud_index=3)
+    small.trip(0)
+    strong.trip(1)
+    first, second = scan(Rig([small, strong]).line, [1_000_000]).servos
+    assert first.model == "XL320"
+    assert "hardware error: overload" in first.notes
+    assert second.model == "PH54-200-S500"
+    assert "hardware error: motor hall sensor" in second.notes
