@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.player import PlayerSettings, StopRequest
+from bridge.player import PlayerSettings, StopRequest, process
 from bridge.player.conductor import _Voice
 from bridge.player.process import conduct
 from bridge.player.request import PlayRequest
@@ -87,12 +87,6 @@ def wait_until(what: Callable[[], bool], seconds: float = 30.0) -> None:
 def dancing(path: Path) -> Callable[[], bool]:
     """Return whether the dance has begun, by its telemetry."""
     return lambda: path.exists() and '"PLAY"' in path.read_text("utf-8")
-
-
-def processes(needle: str) -> list[int]:
-    """Return the ids of living processes whose command line says something."""
-    found = subprocess.run(["pgrep", "-f", needle], capture_output=True, text=True, check=False)
-    return [int(word) for word in found.stdout.split()]
 
 
 def test_a_request_and_a_performance_survive_being_told(tmp_path):
@@ -187,14 +181,20 @@ def test_errors_come_back_as_they_were_raised(tmp_path):
     assert not (tmp_path / "t.jsonl").exists()
 
 
-def test_a_player_that_dies_or_fails_is_a_fault_of_the_hardware_side(buses, tmp_path):
+def test_a_player_that_dies_or_fails_is_a_fault_of_the_hardware_side(buses, tmp_path, monkeypatch):
     """Nobody knows what the servos do then, so it is no mere exception."""
+    players = []
+    popen = subprocess.Popen
+
+    def start_player(*words, **options):
+        players.append(popen(*words, **options))
+        return players[-1]
+
+    monkeypatch.setattr(process.subprocess, "Popen", start_player)
 
     def kill(state: str, share: float) -> None:
         if state == "PLAY":
-            for child in processes("bridge.player.conductor"):
-                if int(Path(f"/proc/{child}/stat").read_text().split()[3]) == os.getpid():
-                    os.kill(child, signal.SIGKILL)
+            players[-1].kill()
 
     with pytest.raises(BusError, match=r"without a word.*-9"):
         conduct(request(tmp_path, duration=9.0), on_progress=kill)
