@@ -107,7 +107,7 @@ class Protocol1:
             if servo_id in asked:
                 continue
             asked.add(servo_id)
-            able = [servo for servo in hearing if servo.id == servo_id and servo.reads_bulk]
+            able = [servo for servo in hearing if servo.id == servo_id and servo.has("bulk_read")]
             request = Packet(servo_id, READ, bytes((address, length)), 0, intact=True)
             if able:
                 answers += self._each(now, request, able)

@@ -66,17 +66,12 @@ class VirtualServo:
             drive: What moves the horn, instead of a motor of its own at ``angle``.
         """
         self.table = table
-        self.id = servo_id
-        """Its id."""
         self.memory = Memory(table)
         self.memory.set("id", servo_id)
         if baud_index is not None:
             self.memory.set("baud_rate", baud_index)
-        self.baud_index = self.memory.get("baud_rate")
-        """Value of its Baud Rate register."""
-        self._map: RegisterMap = (
-            ClassicMap(self.memory) if "moving_speed" in table else ModernMap(self.memory)
-        )
+        kind = ClassicMap if "moving_speed" in table else ModernMap
+        self._map: RegisterMap = kind(self.memory)
         self.drive = drive or Drive(table, angle)
         self.motor, self.profile = self.drive.motor, self.drive.profile
         self.supply = table.voltage
@@ -87,14 +82,12 @@ class VirtualServo:
         """Time before which :meth:`advance` has nothing to do."""
         self.boots_at = 0.0
         """Time before which it does not answer."""
-        self._time = 0.0
-        self._heard = 0.0
+        self._time = self._heard = 0.0
         self._overload = 0.0
         self._goal = table["goal_position"]
         self._level_at = table["status_return_level"].address
         self._firmware_at = table["firmware_version"].address
-        first = table.fast_read_firmware
-        self._fast_from = 256 if first is None else first  # 256: which no firmware reaches
+        self._fast_from = table.since.get("fast_read", 256)  # which no firmware reaches
         self._delay_at = table["return_delay_time"].address
         self._bits = {name: table.error_bit(name) for name in JUDGED}
         self._power_up()
@@ -119,11 +112,6 @@ class VirtualServo:
     def reads_fast(self) -> bool:
         """Whether it takes part in fast reads: by its firmware and Status Return Level."""
         return self.memory.cells[self._firmware_at] >= self._fast_from and self.return_level >= 1
-
-    @property
-    def reads_bulk(self) -> bool:
-        """Whether it takes part in the Bulk Read of Protocol 1.0."""
-        return self._has("bulk_read")
 
     @property
     def return_level(self) -> int:
@@ -204,7 +192,7 @@ class VirtualServo:
         """
         if level not in (0xFF, 1, 2):
             return ERROR_RANGE
-        if everybody and level == 0xFF and self._has("guarded_reset"):
+        if everybody and level == 0xFF and self.has("guarded_reset"):
             return ERROR_RESULT
         kept = {"id": self.memory.get("id"), "baud_rate": self.memory.get("baud_rate")}
         self.memory.reset("eeprom")
@@ -217,7 +205,7 @@ class VirtualServo:
 
     def clear_turns(self) -> int:
         """Bring the present position back into one turn; fails while the horn moves."""
-        if not self._has("clear"):
+        if not self.has("clear"):
             return ERROR_INSTRUCTION
         if abs(self.motor.velocity) > self.table.units.velocity:
             return ERROR_RESULT
@@ -227,7 +215,7 @@ class VirtualServo:
 
     def back_up(self, task: int, now: float) -> int:
         """Keep the control table (:data:`STORE`), or bring its EEPROM back and reboot."""
-        if not self._has("backup"):
+        if not self.has("backup"):
             return ERROR_INSTRUCTION
         if task not in (STORE, RESTORE):
             return ERROR_RANGE
@@ -277,7 +265,8 @@ class VirtualServo:
 
     # -- inside -----------------------------------------------------------------------------------
 
-    def _has(self, feature: str) -> bool:
+    def has(self, feature: str) -> bool:
+        """Whether its firmware has a feature that not every one has."""
         return self.table.has(feature, self.memory.cells[self._firmware_at])
 
     def _power_up(self) -> None:
@@ -285,7 +274,7 @@ class VirtualServo:
         memory.set("model_number", self.table.number)
         memory.set("firmware_version", self.table.firmware)
         startup = 0
-        if self._has("startup_configuration"):
+        if self.has("startup_configuration"):
             startup = memory.get("startup_configuration")
             memory.set("backup_ready", int(bool(memory.backup)))
             if startup & RESTORE_RAM:
@@ -359,6 +348,7 @@ class VirtualServo:
         get, value, table = self.memory.get, self.memory.value, self.table
         self.id, self._shadow = get("id"), value("shadow_id", 255)
         self.baud_index = get("baud_rate")
+        """Value of its Baud Rate register."""
         self.baud = table.bauds.get(self.baud_index, 0)
         """bit/s at which it speaks."""
         self.protocol = 1 if value("protocol_type", table.protocol) == 1 else 2
@@ -400,11 +390,9 @@ class VirtualServo:
 
     def _judge(self, meaning: str, wrong: bool) -> None:
         bit = self._bits[meaning]
-        if bit is None:
-            return
-        if wrong:
+        if bit is not None and wrong:
             self.trip(bit)
-        elif self._map.errors & 1 << bit:
+        elif bit is not None and self._map.errors & 1 << bit:
             self._map.recover(bit)
 
     def _publish(self) -> None:
