@@ -12,7 +12,9 @@ from sim.gl import choose_backend
 choose_backend()  # before any test module imports mujoco
 
 # How long an example takes says more about what else the computer does than about the code.
-hypothesis.settings.register_profile("suite", deadline=None)
+hypothesis.settings.register_profile(
+    "suite", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+)
 hypothesis.settings.load_profile("suite")
 
 

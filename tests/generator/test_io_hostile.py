@@ -178,7 +178,8 @@ def damages(draw) -> Damage:
 
 @pytest.mark.parametrize("name", FORMATS)
 @settings(
-    max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=50,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 @given(damage=damages(), which=st.integers(0, 1))
 def test_a_damaged_file_gives_a_motion_or_a_motion_file_error(
@@ -236,7 +237,8 @@ JSON = st.recursive(
 
 @pytest.mark.parametrize("name", ["own", "npz", "named", "smplx"])
 @settings(
-    max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=50,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 @given(data=st.data())
 def test_an_intact_archive_with_wrong_content_gives_a_motion_or_a_motion_file_error(
