@@ -102,7 +102,9 @@ class LineFaults:
             byte: Time of a byte on the wire, s.
         """
         plan = self.plan
-        if not plan.faults and not self._kept:
+        since = now - plan.origin
+        quiet = not any(f.kind in _DELIVERED and f.active(since) for f in plan.faults)
+        if quiet and not self._kept and (not answers or answers[0][0] >= self._last):
             return answers
         kept, self._kept = self._kept, []
         arriving = [(heard, data) for data in kept]
@@ -175,6 +177,10 @@ def collide(pieces: Timed, byte: float) -> Timed:
         for index, value in enumerate(data):
             heard[at + index] &= value
     return [(first + len(heard) * byte, bytes(heard))]
+
+
+_DELIVERED = {"stale", "reorder", "echo", "latency"}
+"""Faults that happen in the adapter."""
 
 
 def _sender(data: bytes) -> int | None:

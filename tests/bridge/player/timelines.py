@@ -121,6 +121,7 @@ class Witness:
         self.names = {servo: joint.name for servo, joint in zip(servos, self.joints, strict=True)}
         self.at = servos[0].table["torque_enable"].address
         self.torque = [servo.memory.cells[self.at] for servo in servos]
+        self.found = [bool(torque) for torque in self.torque]  # under torque, as somebody left it
         self.goal_at = servos[0].table["goal_position"].address
         ratio = np.array([joint.servo.ratio for joint in self.joints])
         self.fastest = self.robot.max_velocity * ratio
@@ -147,6 +148,7 @@ class Witness:
         """Notice torque that has come on."""
         for index, servo in enumerate(self.wire.servos):
             torque = servo.memory.cells[self.at]
+            self.found[index] &= bool(torque)
             if torque and not self.torque[index]:
                 self.require_no_lunge(index, now)
             self.torque[index] = torque
@@ -184,7 +186,10 @@ class Witness:
         return ", ".join(self.joints[int(index)].name for index in np.flatnonzero(which))
 
     def require_safe_end(self, told: str) -> None:
-        """Every servo is limp, or it stands still and what was told names it or its port."""
+        """Every servo is limp, or it stands still and what was told names it or its port.
+
+        A player that gave up before it sent anything leaves servos as it found them.
+        """
         servos = self.wire.servos
         before = [servo.angle for servo in servos]
         self.wire.advance(self.stage.clock.now() + 1.0)
@@ -193,8 +198,8 @@ class Witness:
             for servo, angle in zip(servos, before, strict=True)
             if servo.memory.cells[self.at] and not servo.load and abs(servo.angle - angle) > 0.1
         }
-        for servo in servos:
-            held = servo.memory.cells[self.at]
+        for index, servo in enumerate(servos):
+            held = servo.memory.cells[self.at] and not (self.found[index] and self.sent is None)
             reported = self.names[servo] in told or "has gone away" in told or "opened" in told
             if held and not reported:
                 raise Violation(f"{self.names[servo]} keeps its torque, which nobody was told")

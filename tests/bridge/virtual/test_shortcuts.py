@@ -12,15 +12,16 @@ import serial
 
 from bridge.servo import packets
 from bridge.servo.packets import instruction
-from bridge.servo.registers import control_table
+from bridge.servo.registers import ControlTable, control_table
 from bridge.virtual import Fault, FaultPlan, PtyServer, VirtualBus, VirtualServo
+from bridge.virtual.drive import Drive
 
 MODELS = ("XM430-W350", "XL430-W250", "XL330-M288", "XH540-W150")
 BROADCAST = packets.BROADCAST
 SETTINGS: dict[str, Callable[[np.random.Generator], int]] = {
     "torque_enable": lambda rng: int(rng.random() < 0.8),
     "profile_velocity": lambda rng: int(rng.integers(0, 300)),
-    "profile_acceleration": lambda rng: int(rng.integers(0, 100)),
+    "profile_acceleration": lambda rng: int(rng.choice([0, 0, 0, 5, 60])),
     "bus_watchdog": lambda rng: int(rng.choice([0, 0, 5, 20])),
     "goal_position": lambda rng: int(rng.integers(-100, 4300)),
     "operating_mode": lambda rng: int(rng.choice([3, 3, 3, 1, 4, 16])),
@@ -34,8 +35,18 @@ SETTINGS: dict[str, Callable[[np.random.Generator], int]] = {
 """Registers that the short ways depend on, with random values for them."""
 
 
+class LongDrive(Drive):
+    """A drive that takes single steps."""
+
+    def _is_plain(self) -> bool:
+        return False
+
+
 class LongWay(VirtualServo):
     """A servo that checks every goal, steps at every packet and publishes at every read."""
+
+    def __init__(self, table: ControlTable, servo_id: int, *, angle: float) -> None:
+        super().__init__(table, servo_id, angle=angle, drive=LongDrive(table, angle))
 
     @property
     def due(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -97,7 +108,8 @@ def outcome(kind: type[VirtualServo], seed: int, count: int) -> list[object]:
     for _ in range(count):
         now += float(rng.choice([1e-4, 1.1e-3, 2e-3, 7.3e-3, 0.02, 0.11]))
         result += bus.feed(now, random_packet(rng, len(servos)))
-    return [*result, *(servo.angle for servo in servos)]
+    ends = [(servo.angle, servo.motor.velocity, servo.motor.temperature) for servo in servos]
+    return [*result, *ends]
 
 
 @pytest.mark.parametrize("seed", range(4))
