@@ -23,15 +23,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-timing", action="store_true", help="answer at once, not at the speed of the wire"
     )
+    parser.add_argument(
+        "--faults", type=Path, metavar="TOML", help="what goes wrong, and when (docs/servos.md)"
+    )
 
 
 def execute(args: argparse.Namespace, console: Console) -> int:
     """Serve until Ctrl-C or SIGTERM."""
-    from bridge.virtual import PtyServer, virtual_bus_for
+    from bridge.virtual import FaultPlan, PtyServer, virtual_bus_for
     from robots.registry import load_robot
 
     robot = load_robot(args.robot)
-    served = virtual_bus_for(robot, args.bus, plant=args.plant)
+    faults = FaultPlan.load(args.faults) if args.faults else None
+    served = virtual_bus_for(robot, args.bus, plant=args.plant, faults=faults)
     server = PtyServer(served, link=args.link, timing=not args.no_timing)
     for name in (signal.SIGINT, signal.SIGTERM):  # all that is left to do then is to leave
         signal.signal(name, lambda *_: server.stop())

@@ -63,6 +63,7 @@ class ServoBus:
         self.tables = self.registers.tables
         self.scale = TickScale.of_servos([joint.servo for joint in joints])
         self._watchdog = [True] * len(joints)
+        self._ceiling: dict[int, int] = {}
         self._may_read_fast = fast
         self._reads_fast = False  # until the firmware of all is known
         self._asks_fast = False
@@ -185,7 +186,8 @@ class ServoBus:
         self.registers.settle(index, "bus_watchdog", 0)
         self.registers.settle(index, "profile_acceleration", 0)
         speed = velocity_counts(joint.max_velocity * servo.ratio, self.tables[index])
-        self.registers.settle(index, "profile_velocity", self.registers.capped(index, speed))
+        self._ceiling[index] = self.registers.capped(index, speed)
+        self.registers.settle(index, "profile_velocity", self._ceiling[index])
         self.registers.settle(index, "goal_pwm", self.registers.read(index, "pwm_limit"))
 
     def _limits_in_ticks(self, index: int) -> tuple[int, int]:
@@ -253,8 +255,16 @@ class ServoBus:
         """Torque on for all; call :meth:`hold_present` right before.
 
         Raises:
-            ServoFault: A servo stays limp; its latched error is named if it has one.
+            ServoFault: A servo has restarted since it was configured, so that nothing limits its
+                speed; or it stays limp, and its latched error is named if it has one.
         """
+        for index, ceiling in self._ceiling.items():
+            if self.registers.read(index, "profile_velocity") != ceiling:
+                raise ServoFault(
+                    "has forgotten its speed ceiling",
+                    where=self.registers.who(index),
+                    hint="check the supply: it has restarted since it was configured",
+                )
         for index, value in enumerate(self.registers.ensure("torque_enable", [1] * len(self.ids))):
             if value != 1:
                 self.require_plain(index)
