@@ -32,6 +32,9 @@ log = logging.getLogger(__name__)
 PATIENCE = 0.012
 """How long an answer may take beyond its time on the wire, s: an adapter's own delay and the
 operating system's, with a millisecond latency timer."""
+ALONE_PATIENCE = 0.04
+"""The same for a servo that is asked by itself, which is never urgent: longer than the 16 ms that
+adapters wait unless told otherwise, and than a busy machine keeps a process waiting."""
 QUIET, STREAM_QUIET, DRAIN_LIMIT = 0.012, 0.002, 0.060
 """After an error: the silence that counts as idle (shorter while streaming, where a late answer is
 merely an old position) and how long to wait for it, s."""
@@ -45,7 +48,7 @@ class _Port(sdk.PortHandler):
         self.baudrate = baud
         self._opener = opener
         self._clock = clock
-        self._patience = patience
+        self.patience = patience
         self._received = bytearray()
 
     def setupPort(self, cflag_baud: int) -> Literal[True]:  # noqa: N802 - the SDK's name
@@ -64,7 +67,7 @@ class _Port(sdk.PortHandler):
 
     def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802 - the SDK's name
         self.packet_start_time = self.getCurrentTime()
-        self.packet_timeout = self.tx_time_per_byte * packet_length + self._patience * 1e3
+        self.packet_timeout = self.tx_time_per_byte * packet_length + self.patience * 1e3
 
     def isPacketTimeout(self) -> bool:  # noqa: N802 - the SDK's name
         """Say so only if nothing has arrived meanwhile: a stalled host is not a silent servo."""
@@ -296,6 +299,8 @@ class SdkTransport:
         """Turn every way in which the SDK or the port can fail into one of our errors."""
         if self._device is None:
             raise PortLost("is not open", where=self.port)
+        alone = servo_id is not None
+        self._device.patience = max(self._patience, ALONE_PATIENCE) if alone else self._patience
         return _Guard(self, self._device, servo_id)
 
     def failed(self, error: BaseException, servo_id: int | None) -> BusError | None:

@@ -223,7 +223,7 @@ def test_a_late_answer_is_not_taken_for_the_next_one():
     rig = Rig().open()
     servo = rig.servo(0)
     feed = rig.wire.feed
-    late = [0.02]
+    late = [0.045]
     rig.wire.feed = lambda *args, **kwargs: [
         (due + late[0], data) for due, data in feed(*args, **kwargs)
     ]
@@ -231,6 +231,16 @@ def test_a_late_answer_is_not_taken_for_the_next_one():
         rig.transport.read(servo.id, 132, 4)
     late[0] = 0.0
     assert rig.transport.read(servo.id, 24, 4)[1] == bytes([10, 0, 0, 0])
+
+
+def test_a_servo_that_is_asked_alone_may_take_as_long_as_an_untuned_adapter():
+    """Adapters collect what arrives for 16 ms, and a busy machine adds its own."""
+    rig = Rig().open()
+    feed = rig.wire.feed
+    rig.wire.feed = lambda *args, **kwargs: [
+        (due + 0.025, data) for due, data in feed(*args, **kwargs)
+    ]
+    assert rig.transport.read(rig.servo(0).id, 24, 4)[1] == bytes([10, 0, 0, 0])
 
 
 def test_goals_that_need_byte_stuffing_arrive(monkeypatch):
