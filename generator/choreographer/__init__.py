@@ -3,24 +3,56 @@
 Torch-free. ``choreograph("handshake", seed=1)`` returns a :class:`~generator.motion.DuetMotion`.
 """
 
-from generator.choreographer import dances, encounters, greetings
+from generator.choreographer import (
+    comforts,
+    dances,
+    encounters,
+    greetings,
+    helping,
+    martial,
+    occasions,
+    parties,
+    play,
+    signs,
+    talks,
+)
+from generator.choreographer.checks import Examination, examine
 from generator.choreographer.compose import LICENCE, SOURCE, choreograph
 from generator.choreographer.from_text import generate
 from generator.choreographer.interaction import Interaction, lookup, repertoire
+from generator.choreographer.sampling import Tally, random_bodies, random_style, sample
 from generator.choreographer.style import Style, style_ranges
 
-FAMILIES = (greetings, encounters, dances)
+FAMILIES = (
+    greetings,
+    signs,
+    talks,
+    comforts,
+    helping,
+    play,
+    encounters,
+    martial,
+    dances,
+    parties,
+    occasions,
+)
 """Modules whose import fills the repertoire."""
 
 __all__ = [
     "FAMILIES",
     "LICENCE",
     "SOURCE",
+    "Examination",
     "Interaction",
     "Style",
+    "Tally",
     "choreograph",
+    "examine",
     "generate",
     "lookup",
+    "random_bodies",
+    "random_style",
     "repertoire",
+    "sample",
     "style_ranges",
 ]

@@ -44,28 +44,32 @@ ARMS = tuple(
 
 
 def segment_distance(p: NDArray, q: NDArray, r: NDArray, s: NDArray) -> FloatArray:
-    """Return the distances ``[T]`` m between segments p-q and r-s, all ``[T, 3]`` m.
+    """Return the distances ``[...]`` m between segments p-q and r-s, all ``[..., 3]`` m.
 
     The closest points of two segments are closest points of their lines, or one of them is an end:
     the least of the inner solution, where it lies inside, and the four end-to-segment distances.
     """
     u, v, w = q - p, s - r, p - r
-    a, b, c = (np.einsum("ti,ti->t", x, y) for x, y in ((u, u), (u, v), (v, v)))
-    d, e = (np.einsum("ti,ti->t", x, w) for x in (u, v))
+    a, b, c = (_dot(x, y) for x, y in ((u, u), (u, v), (v, v)))
+    d, e = (_dot(x, w) for x in (u, v))
     denominator = a * c - b * b
     safe = np.where(denominator > 1e-12, denominator, 1.0)
     first, second = (b * e - c * d) / safe, (a * e - b * d) / safe
     inside = (denominator > 1e-12) & (abs(first - 0.5) <= 0.5) & (abs(second - 0.5) <= 0.5)
-    gap = np.linalg.norm(w + first[:, None] * u - second[:, None] * v, axis=1)
+    gap = np.linalg.norm(w + first[..., None] * u - second[..., None] * v, axis=-1)
     ends = [_point_segment(x, y, z) for x, y, z in ((p, r, s), (q, r, s), (r, p, q), (s, p, q))]
     return np.minimum(np.where(inside, gap, np.inf), np.min(ends, axis=0))
 
 
+def _dot(x: NDArray, y: NDArray) -> FloatArray:
+    return np.einsum("...i,...i->...", x, y)
+
+
 def _point_segment(x: NDArray, p: NDArray, q: NDArray) -> FloatArray:
     u = q - p
-    length = np.maximum(np.einsum("ti,ti->t", u, u), 1e-18)
-    share = np.clip(np.einsum("ti,ti->t", x - p, u) / length, 0.0, 1.0)
-    return np.linalg.norm(x - p - share[:, None] * u, axis=1)
+    length = np.maximum(_dot(u, u), 1e-18)
+    share = np.clip(_dot(x - p, u) / length, 0.0, 1.0)
+    return np.linalg.norm(x - p - share[..., None] * u, axis=-1)
 
 
 def clearances(
@@ -78,12 +82,20 @@ def clearances(
         bodies: Per person the skeleton, keypoints ``[T, J, 3]`` m, and size relative to 1.70 m.
         capsules: Which parts of both bodies.
     """
-    gaps = {}
-    (skeleton_a, points_a, scale_a), (skeleton_b, points_b, scale_b) = bodies
-    for one in capsules:
-        p, q = (points_a[:, skeleton_a.index(n)] for n in (one.start, one.end))
-        for other in capsules:
-            r, s = (points_b[:, skeleton_b.index(n)] for n in (other.start, other.end))
-            radii = one.radius * scale_a + other.radius * scale_b
-            gaps[one.name, other.name] = segment_distance(p, q, r, s) - radii
-    return gaps
+    (p, q, own), (r, s, others) = (_segments(*body, capsules) for body in bodies)
+    distance = segment_distance(p[:, None], q[:, None], r[None], s[None])
+    gaps = distance - (own[:, None] + others[None])[..., None]
+    return {
+        (one.name, other.name): gaps[i, j]
+        for i, one in enumerate(capsules)
+        for j, other in enumerate(capsules)
+    }
+
+
+def _segments(
+    skeleton: Skeleton, points: NDArray, scale: float, capsules: tuple[Capsule, ...]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the ends ``[C, T, 3]`` m of the capsules and their radii ``[C]`` m."""
+    start = points[:, [skeleton.index(c.start) for c in capsules]].swapaxes(0, 1)
+    end = points[:, [skeleton.index(c.end) for c in capsules]].swapaxes(0, 1)
+    return start, end, np.array([c.radius * scale for c in capsules])

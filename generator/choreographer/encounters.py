@@ -16,7 +16,7 @@ BOX_DEPTH = 0.12
 BOX_HALF_WIDTH = 0.13
 
 
-@interaction(ByTouch(-0.005))
+@interaction(ByTouch(-0.005), overlap=0.03)
 def hug(stage: Stage) -> None:
     """Both open their arms, embrace and hold each other, one arm over and one under."""
     beat = stage.phases(approach=1.3, prepare=0.6, contact=0.8, hold=1.4, release=0.9, depart=1.2)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from generator.choreographer.curves import ease, window
 from generator.choreographer.frames import apply, pitch, yaw
-from generator.choreographer.role import Role
+from generator.choreographer.role import Kick, Role
 from generator.choreographer.style import SIDES, Side
 from robots.skeleton import FloatArray
 
@@ -39,6 +39,10 @@ TURN_WEIGHT = 0.25
 """Metres that one radian of wrong foot direction counts for."""
 
 
+Spots = dict[Side, FloatArray]
+"""Per foot, toe x, y and direction ``[T, 3]`` if it stood under its hip all the time."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
     """One step of one foot."""
@@ -52,6 +56,8 @@ class Step:
     """``[3]``, toe x, y (m) and direction (rad) before."""
     end: FloatArray
     """``[3]``, the same after."""
+    kick: Kick | None = None
+    """What the foot does in the air instead of going to another place."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,6 +72,8 @@ class Foot:
     """``[T, 3, 3]`` rest frame to world."""
     direction: FloatArray
     """``[T]`` rad."""
+    kicked: FloatArray
+    """``[T]`` in 0..1, how far it is kicked up."""
     heel_down: NDArray[np.bool_]
     """``[T]``: the ankle stands."""
     toe_down: NDArray[np.bool_]
@@ -74,9 +82,46 @@ class Foot:
 
 def plan_steps(role: Role) -> list[Step]:
     """Return the steps that carry a role along its path, in the order in which feet leave."""
-    times, end = role.times, float(role.times[-1])
-    fps = (len(times) - 1) / end
     spots = {side: _spots(role, side) for side in SIDES}
+    steps = _scripted(role, spots) if role.footfalls else _planned(role, spots)
+    return _with_kicks(role, steps, spots)
+
+
+def _scripted(role: Role, spots: Spots) -> list[Step]:
+    """Return the steps that a role prescribes."""
+    fps = _fps(role)
+    standing = {side: spots[side][0] for side in SIDES}
+    steps = []
+    for fall in role.footfalls:
+        goal = _at(spots[fall.side], (fall.land + 0.5 * (fall.land - fall.leave)) * fps)
+        steps.append(Step(fall.side, fall.leave, fall.land, standing[fall.side], goal))
+        standing[fall.side] = goal
+    return steps
+
+
+def _with_kicks(role: Role, steps: list[Step], spots: Spots) -> list[Step]:
+    """Return the steps with a role's kicks among them, each from where the foot stands then."""
+    for kick in role.kicks:
+        leave, land = kick.moments[0], kick.moments[-1]
+        before = [s.end for s in steps if s.side == kick.side and s.land <= leave]
+        stand = before[-1] if before else spots[kick.side][0]
+        steps.append(Step(kick.side, leave, land, stand, stand, kick))
+    return sorted(steps, key=lambda step: step.leave) if role.kicks else steps
+
+
+def _fps(role: Role) -> float:
+    return (len(role.times) - 1) / float(role.times[-1])
+
+
+def _kicks_during(role: Role, start: float, end: float) -> bool:
+    """Return whether a leg is up, or is just put down, between two moments."""
+    return any(kick.moments[0] - 0.1 < end and start < kick.moments[-1] for kick in role.kicks)
+
+
+def _planned(role: Role, spots: Spots) -> list[Step]:
+    """Return steps as the path asks for them; see the top of this file."""
+    end = float(role.times[-1])
+    fps = _fps(role)
     pace = _pace(role, fps)
 
     def spot(side: Side, moment: float) -> FloatArray:
@@ -89,6 +134,9 @@ def plan_steps(role: Role) -> list[Step]:
     while moment < end - SWING - 0.15:
         period = min(max(0.66 - 0.14 * pace[round(moment * fps)], 0.5), 0.66)
         ahead = moment + SWING + period - SWING / 2
+        if _kicks_during(role, moment, moment + SWING):
+            moment += 1 / fps
+            continue
         for side in (turn, _other(turn)):
             goal = spot(side, ahead)
             if _misplaced(goal, standing[side]) > NEAR_ENOUGH * role.build.scale:
@@ -108,6 +156,11 @@ def _spots(role: Role, side: Side) -> FloatArray:
     toe = role.build.offset(f"{side}_foot")
     ankle = np.array([-0.04 * role.build.scale, sign * role.stance * role.build.scale, 0.0])
     direction = role.heading + sign * TOE_OUT
+    if side in role.footing:
+        forward, aside, turn = role.footing[side].T
+        direction = direction + sign * turn
+        away = np.column_stack([forward, sign * aside, np.zeros(len(turn))])
+        ankle = ankle + away * role.build.scale
     place = apply(yaw(role.heading), ankle) + apply(yaw(direction), toe)
     return np.column_stack([role.path + place[:, :2], direction])
 
@@ -152,8 +205,20 @@ def foot_path(role: Role, steps: list[Step], side: Side, lift: float = 1.0) -> F
     tip = np.zeros(len(times))
     toe_down = np.ones(len(times), dtype=np.bool_)
     heel_down = np.ones(len(times), dtype=np.bool_)
+    kicked = np.zeros(len(times))
+    offset = np.zeros((len(times), 3))
     settled = 0.0
     for step in own:
+        if step.kick is not None:
+            up = window(times, *step.kick.moments)
+            kicked = np.maximum(kicked, up)
+            offset += up[:, None] * step.kick.offset * (1.0, 1.0 if side == "left" else -1.0, 1.0)
+            tip += step.kick.tip * up
+            in_air = (times > step.leave) & (times < step.land)
+            toe_down &= ~in_air
+            heel_down &= ~in_air
+            settled = step.land + 0.02
+            continue
         swing = step.land - step.leave
         progress = (times - step.leave) / swing
         move = step.end - step.start
@@ -171,7 +236,12 @@ def foot_path(role: Role, steps: list[Step], side: Side, lift: float = 1.0) -> F
         toe_down &= (times <= step.leave) | (times >= step.land)
         heel_down &= (times <= heel_up) | (times >= step.land)
         settled = step.land + 0.02
+    if side in role.heels:
+        tip += role.heels[side]
+        heel_down &= role.heels[side] < 1e-6
     toe = np.column_stack([place[:, :2], height])
+    if own and any(step.kick for step in own):
+        toe += apply(yaw(role.heading), offset * scale)
     rotation = yaw(place[:, 2]) @ pitch(tip)
     ankle = toe - apply(rotation, role.build.offset(f"{side}_foot"))
-    return Foot(ankle, toe, rotation, place[:, 2], heel_down, toe_down)
+    return Foot(ankle, toe, rotation, place[:, 2], kicked, heel_down, toe_down)

@@ -24,12 +24,14 @@ class Interaction:
     """What decides how near the two stand."""
     staging: Staging
     """Writes the parts of both roles onto a stage."""
+    overlap: float = 0.01
+    """How deep the two bodies may sink into each other, m: soft bodies that press together."""
 
 
 _REPERTOIRE: dict[str, Interaction] = {}
 
 
-def interaction(spacing: Spacing) -> Callable[[Staging], Staging]:
+def interaction(spacing: Spacing, *, overlap: float = 0.01) -> Callable[[Staging], Staging]:
     """Add the decorated function to the repertoire under its own name.
 
     The first line of its docstring becomes the summary.
@@ -37,7 +39,9 @@ def interaction(spacing: Spacing) -> Callable[[Staging], Staging]:
 
     def add(staging: Staging) -> Staging:
         summary = (staging.__doc__ or "").strip().splitlines()[0]
-        _REPERTOIRE[staging.__name__] = Interaction(staging.__name__, summary, spacing, staging)
+        _REPERTOIRE[staging.__name__] = Interaction(
+            staging.__name__, summary, spacing, staging, overlap
+        )
         return staging
 
     return add

@@ -98,6 +98,30 @@ class Reach:
     """Window in which the goal must be met, s; the arm's length decides how near people stand."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Footfall:
+    """One step at a set time; the foot lands where it stands well then."""
+
+    side: Side
+    leave: float
+    """Toe leaves the floor, s."""
+    land: float
+    """Foot stands again, s."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Kick:
+    """A leg that leaves the floor, goes somewhere and comes back to where it stood."""
+
+    side: Side
+    moments: tuple[float, float, float, float]
+    """Toe leaves, arrives, turns back, lands, s."""
+    offset: FloatArray
+    """``[3]`` m at 1.70 m, forward, outward, up: how far the toe goes."""
+    tip: float = 0.0
+    """Turning of the foot, toe down, rad; negative pulls the toe up."""
+
+
 ELBOW_DOWN = (-0.3, 0.45, -1.0)
 """Ordinary direction of the elbow while the hand is in front of the body."""
 
@@ -125,6 +149,8 @@ class Role:
     """``[T]`` in 0..1: 1 looks at the partner's head, 0 straight ahead."""
     nod: FloatArray = field(init=False)
     """``[T]`` rad, lowering of the head on top of the gaze."""
+    shift: FloatArray = field(init=False)
+    """``[T, 2]`` m at 1.70 m, forward and left: how far the pelvis leaves its path."""
     stance: float = 0.09
     """Half the distance between the feet, m for a person of 1.70 m."""
     arm_swing: float = 1.0
@@ -132,11 +158,20 @@ class Role:
     first_step: Side = "left"
     """Foot that leaves first."""
     reaches: list[Reach] = field(default_factory=list)
+    footing: dict[Side, FloatArray] = field(default_factory=dict)
+    """``[T, 3]`` m, m, rad: forward, outward, turned outward from the ordinary stand."""
+    heels: dict[Side, FloatArray] = field(default_factory=dict)
+    """``[T]`` rad, how far a heel is up while the ball of the foot stands."""
+    footfalls: list[Footfall] = field(default_factory=list)
+    """Steps in the order of their times. If there are any, no others are taken."""
+    kicks: list[Kick] = field(default_factory=list)
+    """In the order of their times; no steps are planned while one goes on."""
 
     def __post_init__(self) -> None:
         """Start at rest at the origin."""
         count = len(self.times)
         self.path = np.zeros((count, 2))
+        self.shift = np.zeros((count, 2))
         for name in ("heading", "lean", "tilt", "twist", "crouch", "nod"):
             setattr(self, name, np.zeros(count))
         self.gaze = np.ones(count)

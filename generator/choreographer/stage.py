@@ -105,10 +105,12 @@ class Stage:
         hold: float = 0.0,
         release: float = 0.0,
         depart: float = 0.0,
+        restless: float = 0.0,
     ) -> Phases:
         """Set the clock from durations in seconds at ordinary tempo, varied by chance by 8 %.
 
-        A short time of standing goes before and after.
+        A short time of standing goes before and after. ``restless`` is how far the weight wanders
+        from foot to foot, m at 1.70 m; who is restless also looks away now and then.
         """
         moment, spans = CALM, []
         for seconds in (approach, prepare, contact, hold, release, depart):
@@ -119,6 +121,8 @@ class Stage:
         self.first, self.second = (Role(build, self.times) for build in self.builds)
         for role in self.people:
             self._liven(role)
+            if restless:
+                self._fidget(role, restless)
         return Phases(*spans)
 
     @property
@@ -147,6 +151,16 @@ class Stage:
         role.twist += drift(times, rng, 0.012)
         role.heading += drift(times, rng, 0.008, (0.05, 0.2))
         role.crouch += (0.003 + np.abs(drift(times, rng, 0.002))) * scale
+
+    def _fidget(self, role: Role, restless: float) -> None:
+        """Let the weight wander from foot to foot, and the eyes wander off for a moment."""
+        times, rng = self.times, self.rng
+        wander = drift(times, rng, restless, (0.08, 0.22))
+        role.shift[:, 1] += np.clip(wander, -2.0 * restless, 2.0 * restless)
+        role.tilt -= 1.2 * role.shift[:, 1]
+        role.nod += drift(times, rng, 0.02, (0.1, 0.4))
+        away = rng.uniform(0.6, float(times[-1]))
+        role.gaze -= rng.uniform(0.2, 0.5) * window(times, away, away + 0.4, away + 0.6, away + 1.0)
 
     def face_to_face(self, arrive: float, travel: tuple[float, float] = (0.3, 0.7)) -> None:
         """Let both walk from afar to within :attr:`near` of each other along x.
@@ -235,7 +249,8 @@ class Stage:
             role: Whose hand.
             side: Which hand.
             point: Keypoint of the partner.
-            offset: ``[3]`` m from it, forward, left, up in the partner's own frame.
+            offset: ``[3]`` m from it, forward, left, up in the partner's own frame; or
+                ``[T, 3]`` of constant length, for a hand that moves over the place.
             on: Time of the touch.
             start: Hand leaves, s.
             end: Hand is back, s.
@@ -246,7 +261,8 @@ class Stage:
         spot = Spot("partner", away, point)
         role.reach(side, spot, weight, elbow=elbow, exact=(on.start, on.end))
         partner = self.second if role is self.first else self.first
-        gap = float(np.linalg.norm(away)) * partner.build.scale
+        radius = np.linalg.norm(away) if away.ndim == 1 else np.linalg.norm(away, axis=1).mean()
+        gap = float(radius) * partner.build.scale
         hand = f"{side}_hand"
         names = (hand, point) if role is self.first else (point, hand)
         self.label(*names, on, gap)

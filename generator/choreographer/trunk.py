@@ -83,7 +83,9 @@ def _pelvis_place(role: Role, feet: dict[Side, Foot]) -> FloatArray:
     aside = np.einsum("ti,ti->t", support - role.path, left)
     back = COUNTERWEIGHT * role.build.scale * np.sin(0.8 * role.lean)
     tilt = 0.10 * role.build.scale * np.sin(role.tilt)
-    return role.path + (0.3 * aside + tilt)[:, None] * left - back[:, None] * forward
+    place = role.path + (0.3 * aside + tilt)[:, None] * left - back[:, None] * forward
+    shift = role.shift * role.build.scale
+    return place + shift[:, [0]] * forward + shift[:, [1]] * left
 
 
 def _pelvis_height(
@@ -105,7 +107,8 @@ def _pelvis_height(
 def _pose_leg(pose: Pose, side: Side) -> None:
     build, foot = pose.role.build, pose.feet[side]
     toward = 0.5 * (pose.role.heading + foot.direction)
-    forward = np.column_stack([np.cos(toward), np.sin(toward), np.full(len(toward), 0.15)])
+    # The knee of a leg that is kicked up points up, since the leg itself points forward.
+    forward = np.column_stack([np.cos(toward), np.sin(toward), 0.15 + 1.5 * foot.kicked])
     thigh, shank = two_bones(
         pose.point(f"{side}_hip"),
         foot.ankle,

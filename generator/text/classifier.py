@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from generator.text.examples import OUTSIDE
 
-RIDGE = 1.0
+RIDGE = 0.3
 """Regularisation of the map."""
 OUTSIDE_WEIGHT = 6.0
 """Weight of the outside label relative to one interaction."""

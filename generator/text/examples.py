@@ -14,12 +14,16 @@ from pathlib import Path
 
 import numpy as np
 
+from generator.choreographer.style import Style
 from generator.text.encoder import FloatVectors, SentenceEncoder
+from generator.text.grammar import describe, entry_of
 from robots.errors import MotionFileError
 from robots.files import read_archive, write_archive
 
 OUTSIDE = "outside"
 """Label of sentences that ask for nothing in the repertoire."""
+CLAUSES = 8
+"""Wordings of the grammar that stand among the examples of each interaction."""
 VECTORS_FILE = "data/repertoire.npz"
 """Vectors of the example sentences under the encoder that ships; saves a second or two per run."""
 
@@ -42,12 +46,24 @@ class Examples:
 
 @cache
 def examples() -> Examples:
-    """Return the examples of ``data/repertoire.toml``."""
+    """Return the examples of ``data/repertoire.toml``, and a few of the grammar's clauses."""
     text = resources.files("generator.text").joinpath("data/repertoire.toml").read_text("utf-8")
     data = tomllib.loads(text)
     pairs = [(name, s) for name, group in data["interactions"].items() for s in group]
     pairs += [(OUTSIDE, s) for s in data["outside"]["sentences"]]
+    known = {s for _, s in pairs}
+    pairs += [(n, s) for n in data["interactions"] for s in _clauses(n) if s not in known]
     return Examples(tuple(s for _, s in pairs), tuple(n for n, _ in pairs))
+
+
+def _clauses(interaction: str) -> list[str]:
+    """Return some wordings of an interaction, in small letters and without a full stop."""
+    entry = entry_of(interaction)
+    rng = np.random.default_rng(list(interaction.encode()))
+    chosen = rng.permutation(len(entry.clauses))[:CLAUSES]
+    told = [describe(interaction, Style(), rng, clauses=(entry.clauses[i],)) for i in chosen]
+    texts = [sentence.text.rstrip(".") for sentence in told]
+    return [t if t[:2] in ("A ", "B ") else t[0].lower() + t[1:] for t in texts]
 
 
 def encode_examples(encoder: SentenceEncoder) -> FloatVectors:

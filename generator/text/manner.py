@@ -23,8 +23,10 @@ _BY = re.compile(
     re.IGNORECASE,
 )
 _RECEIVES = re.compile(
-    r"\b(?:receiv\w+|tak(?:es|ing)|accept\w*|gets?|collects?)\b[^.;]*\bfrom\b"
+    r"\b(?:receiv\w+|tak(?:es|ing)|accept\w*|gets?|collects?)\b[^.;]*"
+    r"\bfrom (?:the )?(?:first|second|a\b|b\b|other|person|dancer)"
     r"|\b(?:approach\w*|comes?|walks? over)\b[^.;]*\b(?:because|as|when|after)\b"
+    r"|\b(?:mirrored|copied|imitated|mimicked|followed) by\b"
     r"|\b(?:copies|copy|mirrors?|imitates?|mimics?|follows?)\b",
     re.IGNORECASE,
 )

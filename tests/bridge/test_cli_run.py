@@ -10,7 +10,7 @@ import pytest
 
 from bridge.cli import main
 from bridge.trajectory import JointTrajectory
-from generator.choreographer import choreograph, repertoire
+from generator.choreographer import choreograph
 from generator.io import read_motion, write_motion
 from robots.files import read_archive
 from sim.gl import choose_backend
@@ -27,6 +27,12 @@ FILES = {
     "summary.json",
 }
 TOUCHING = ("handshake", "high_five", "fist_bump", "circle_dance", "pass_object", "waltz")
+FAMILIAR = (
+    *TOUCHING,
+    *("wave", "bow", "beckon", "hug", "push", "box", "mirror_dance", "walk_together"),
+    *("help_up", "twirl", "tug_of_war", "cha_cha"),
+)
+"""Some interactions of every kind; each takes seconds."""
 ASSIST = ("--controller", "assist")
 """Quick; which controller it is does not matter here."""
 
@@ -103,7 +109,7 @@ def test_real_mocap_goes_the_whole_way(duets: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", repertoire())
+@pytest.mark.parametrize("name", FAMILIAR)
 def test_interaction_is_retargeted_with_hands_that_meet(name: str, tmp_path: Path) -> None:
     write_motion(choreograph(name, seed=0), tmp_path / "motion.npz")
     assert main(["retarget", str(tmp_path / "motion.npz"), "-o", str(tmp_path)]) == 0

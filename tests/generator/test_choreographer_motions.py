@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from generator.choreographer import Style, choreograph, repertoire
+from generator.choreographer import Style, choreograph, examine, lookup, repertoire, sample
 from generator.choreographer.clearance import ARMS, LEGS, TRUNK, Capsule, clearances
 from generator.choreographer.role import Build
 from generator.kinematics import forward_kinematics, global_rotations
 from generator.motion import CONTACT_POINTS, DuetMotion, Motion
+from robots.errors import MotionError
 from robots.skeleton import human_skeleton
 
 STYLES = {
@@ -29,6 +31,11 @@ BODIES = {
     "small and tall": (0.85, 1.15),
     "smaller": (1.0, 0.85),
 }
+CLASSIC = (
+    *("beckon", "bow", "box", "circle_dance", "fist_bump", "handshake", "high_five", "hug"),
+    *("mirror_dance", "pass_object", "push", "walk_together", "wave", "waltz"),
+)
+"""Interactions whose motions other tests and benchmarks rely on: more cases, no rejects."""
 CASES = [
     ("ordinary", "alike", 0),
     ("fast", "alike", 2),
@@ -44,11 +51,22 @@ MORE = [
 ]
 HANDS = ("left_hand", "right_hand")
 
-every_case = pytest.mark.parametrize(
-    ("style", "bodies", "seed"),
-    [*CASES, *(pytest.param(*case, marks=pytest.mark.slow) for case in MORE)],
+CLASSIC_CASES = [
+    *((name, *case) for name in CLASSIC for case in CASES),
+    *(pytest.param(name, *case, marks=pytest.mark.slow) for name in CLASSIC for case in MORE),
+]
+# Each of the others in its ordinary style, and in one more by turns.
+OTHER_CASES = [
+    (name, *case)
+    for number, name in enumerate(sorted(set(repertoire()) - set(CLASSIC)))
+    for case in (CASES[0], (CASES[1:3] + MORE[:3])[number % 5])
+]
+every_performance = pytest.mark.parametrize(
+    ("name", "style", "bodies", "seed"), [*CLASSIC_CASES, *OTHER_CASES]
 )
 every_interaction = pytest.mark.parametrize("name", repertoire())
+NOT_SEEN = {"conga", "shoulder_massage", "support_walk", "comfort"}
+"""Where one stands behind the other, or hides the face."""
 
 
 @cache
@@ -67,8 +85,7 @@ def contacts(motion: Motion) -> np.ndarray:
     return motion.foot_contacts
 
 
-@every_interaction
-@every_case
+@every_performance
 class TestMotion:
     def test_hands_meet_over_the_whole_window(self, name, style, bodies, seed):
         duet = performance(name, style, bodies, seed)
@@ -138,7 +155,7 @@ class TestMotion:
 
     def test_bodies_do_not_sink_into_each_other(self, name, style, bodies, seed):
         duet = performance(name, style, bodies, seed)
-        allowed = 0.03 if name == "hug" else 0.01
+        allowed = lookup(name).overlap
         one, other = ((m.skeleton, m.keypoints, Build.of(m.skeleton).scale) for m in duet.people)
         for pair, gap in clearances((one, other)).items():
             assert gap.min() > -allowed, pair
@@ -154,12 +171,13 @@ class TestMotion:
                     assert gap.min() > -0.02, (arm, part)
 
     def test_steps_are_short_and_the_mass_stays_over_the_feet(self, name, style, bodies, seed):
+        longest = 1.6 if name == "kick" else 1.4  # springing back, two steps of 0.7 m otherwise
         for motion in performance(name, style, bodies, seed).people:
             size = Build.of(motion.skeleton).scale
             for toe in (1, 3):
                 spots = motion.point(CONTACT_POINTS[toe])[contacts(motion)[:, toe], :2]
                 stride = np.linalg.norm(np.diff(spots, axis=0), axis=1)
-                assert stride.max() <= 1.4 * size, "two steps of 0.7 m"
+                assert stride.max() <= longest * size
             down = contacts(motion)
             still = down.all(axis=1)
             trunk = [motion.skeleton.index(n) for n in ("pelvis", "spine2", "neck")]
@@ -171,9 +189,9 @@ class TestMotion:
 
     def test_duration_is_that_of_a_short_scene(self, name, style, bodies, seed):
         duet = performance(name, style, bodies, seed)
-        assert 2.0 < duet.duration < 13.0
+        assert 2.0 < duet.duration < 15.0
         if style == "ordinary":
-            assert 3.0 <= duet.duration <= 8.5
+            assert 3.0 <= duet.duration <= 9.0
 
 
 @every_interaction
@@ -200,7 +218,50 @@ def test_people_look_at_each_other_at_some_time(name):
         toward = partner.point("head") - motion.point("head")
         toward /= np.linalg.norm(toward, axis=1, keepdims=True)
         facing = np.einsum("ti,ti->t", head.apply([1.0, 0.0, 0.0]), toward)
-        assert facing.max() > 0.8
+        assert facing.max() > (0.0 if name in NOT_SEEN else 0.8)
+
+
+@every_interaction
+def test_each_number_of_the_style_changes_the_motion(name):
+    def shown(**changes) -> np.ndarray:
+        return choreograph(name, seed=4, style=Style(**changes)).keypoints
+
+    plain = shown()
+    for changes in ({"energy": 1.4}, {"amplitude": 1.4}):
+        assert np.abs(shown(**changes) - plain).max() > 0.004, changes
+    assert len(shown(speed=0.8)) > len(plain)
+
+
+def test_a_spoilt_motion_is_found_out():
+    duet = choreograph("handshake", seed=0)
+    assert examine(duet).faults == ()
+    near = duet.b.keypoints - (0.5, 0.0, 0.0)
+    assert set(examine(replace(duet, b=replace(duet.b, keypoints=near))).faults) == {
+        "reach",
+        "overlap",
+    }
+    sunk = duet.b.keypoints - (0.0, 0.0, 0.05)
+    assert "floor" in examine(replace(duet, b=replace(duet.b, keypoints=sunk))).faults
+    slides = duet.b.keypoints + 0.03 * duet.b.times[:, None, None] * (0.0, 1.0, 0.0)
+    assert "skate" in examine(replace(duet, b=replace(duet.b, keypoints=slides))).faults
+    jolt = np.array(duet.b.keypoints)
+    jolt[40, :, 0] += 0.2
+    faults = examine(replace(duet, b=replace(duet.b, keypoints=jolt))).faults
+    assert {"hand_speed", "acceleration"} <= set(faults)
+
+
+def test_samples_pass_and_repeat():
+    one, other = (sample("kick", np.random.default_rng(3)) for _ in range(2))
+    assert examine(one[0]).faults == ()
+    assert np.array_equal(one[0].keypoints, other[0].keypoints)
+    assert one[1] == other[1]
+
+
+def test_a_style_that_always_spoils_is_reported(monkeypatch):
+    monkeypatch.setattr("generator.choreographer.checks.HAND_SPEED", 0.1)
+    monkeypatch.setattr("generator.choreographer.sampling.ATTEMPTS", 2)
+    with pytest.raises(MotionError, match="hand_speed"):
+        sample("wave", np.random.default_rng(0))
 
 
 def test_capsules_that_touch_have_no_gap():
