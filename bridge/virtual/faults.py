@@ -181,14 +181,14 @@ class FaultPlan:
             for fault in self.faults
         )
 
-    def next_unplug(self, now: float) -> float:
-        """Return when the adapter goes away next, s; infinity if it stays."""
+    def next_unplug(self, since: float) -> float:
+        """Return when the adapter is away first from ``since`` s on; infinity if it stays."""
         starts = [
-            fault.start + self.origin
+            max(since, fault.start + self.origin)
             for fault in self.faults
-            if fault.kind == "unplug" and fault.servo_id is None
+            if fault.kind == "unplug" and fault.servo_id is None and fault.end + self.origin > since
         ]
-        return min((start for start in starts if start > now), default=math.inf)
+        return min(starts, default=math.inf)
 
 
 def _parse(path: Path) -> dict[str, Any]:

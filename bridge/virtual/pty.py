@@ -131,9 +131,8 @@ class PtyServer:
             return max(0.0, self._handed_over() - WAKE - time.monotonic())
         if self.bus.plant is not None and self.bus.instructions:
             return IDLE
-        now = time.monotonic()
-        away = self.bus.faults.next_unplug(now) if self.bus.faults.faults else math.inf
-        return max(0.0, away - now) if math.isfinite(away) else None
+        away = self.bus.faults.next_unplug(self._opened)
+        return max(0.0, away - time.monotonic()) if math.isfinite(away) else None
 
     def _is_away(self, now: float) -> bool:
         """Hang up or come back as the faults say; return whether the adapter is unplugged."""
