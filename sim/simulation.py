@@ -1,8 +1,8 @@
 """One run of physics: steps a scene, records, notices divergence, and can go back.
 
-A controller that plans ahead tries, rewinds and tries again, in any order. So the records of a run
-form a chain, each pointing to the one before: a snapshot holds its own past, and what was tried in
-vain is forgotten with it.
+A controller that plans ahead tries, goes back and tries again. The record is one block, made when
+the run begins, which the next try writes over: small pieces put between a planner's large and
+short-lived ones would let memory grow six times faster than the record.
 """
 
 from __future__ import annotations
@@ -51,26 +51,14 @@ class Trace:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Moment:
-    """The record of one tick, and the one before it."""
-
-    before: _Moment | None
-    qpos: FloatArray
-    qvel: FloatArray
-    ctrl: FloatArray
-    """As set at the tick before, for the step that led here."""
-    assist: FloatArray
-    torque: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
-    """A state of a :class:`Simulation` to go back to, with all that led to it."""
+    """A state of a :class:`Simulation` to go back to."""
 
     tick: int
     state: FloatArray
     """All that MuJoCo's next step depends on."""
-    moment: _Moment
+    steps: int
+    """How many steps had been made, those in vain included."""
 
 
 class Simulation:
@@ -106,10 +94,18 @@ class Simulation:
         self.tick = 0
         data.qpos[:] = scene.qpos(reference.root[:1], reference.rotations[:1])[0]
         data.qvel[:] = reference_qvel(scene, reference)[0]
-        assist, torque = np.zeros((2, 6)), np.zeros((2, len(scene.maps[0].targets)))
-        self._moment = _Moment(
-            None, data.qpos.copy(), data.qvel.copy(), data.ctrl.copy(), assist, torque
+        ticks, joints = self._last + 1, len(scene.maps[0].targets)
+        self._qpos, self._qvel = (
+            np.zeros((ticks, data.qpos.size)),
+            np.zeros((ticks, data.qvel.size)),
         )
+        # Of the step that leads away from a tick.
+        self._ctrl = np.zeros((ticks, data.ctrl.size))
+        self._assist, self._torque = np.zeros((ticks, 2, 6)), np.zeros((ticks, 2, joints))
+        self._qpos[0], self._qvel[0], self._ctrl[0] = data.qpos, data.qvel, data.ctrl
+        self._steps = 0
+        self._returns: list[tuple[int, int]] = []
+        """When, in steps, the run went back, and to which tick."""
         if not _is_sane(data):
             raise _diverged("the physics", 0.0, None)
         with quiet_mujoco():
@@ -142,7 +138,7 @@ class Simulation:
         if not np.isfinite(ctrl).all():
             raise _diverged("the control", time, self.trace())
         data.ctrl[self._muscles] = self._late(ctrl)[self._muscles]
-        assist, torque = np.zeros((2, 6)), np.empty_like(self._moment.torque)
+        assist = np.zeros((2, 6))
         with quiet_mujoco():
             for i in range(self._substeps):
                 self._disturbance.push(data, time + i * length, length)
@@ -150,58 +146,56 @@ class Simulation:
                 for p, at in enumerate(self._maps):
                     if len(at.assist):
                         assist[p] += data.actuator_force[at.assist] / self._substeps
-        for p, at in enumerate(self._maps):
-            torque[p] = np.linalg.norm(data.actuator_force[at.targets], axis=1)
         if not _is_sane(data):
             raise _diverged("the physics", (self.tick + 1) / self._rate, self.trace())
         data.ctrl[:] = ctrl
-        self._moment = _Moment(
-            self._moment, data.qpos.copy(), data.qvel.copy(), ctrl, assist, torque
-        )
+        self._ctrl[self.tick], self._assist[self.tick] = ctrl, assist
+        for p, at in enumerate(self._maps):
+            force = data.actuator_force[at.targets]
+            self._torque[self.tick, p] = np.linalg.norm(force, axis=1)
         self.tick += 1
+        self._steps += 1
+        self._qpos[self.tick], self._qvel[self.tick] = data.qpos, data.qvel
 
     def _late(self, ctrl: FloatArray) -> FloatArray:
         """Return the controls that reach the actuators now; the first ones until others do."""
         late = min(self._delay, self.tick)
-        if late == 0:
-            return ctrl
-        moment = self._moment
-        for _ in range(late - 1):
-            moment = moment.before or moment
-        return moment.ctrl
+        return self._ctrl[self.tick - late] if late else ctrl
 
     def snapshot(self) -> Snapshot:
         """Return the present state, to go back to with :meth:`restore`."""
         state = np.empty(mujoco.mj_stateSize(self._model, _STATE))
         mujoco.mj_getState(self._model, self.data, state, _STATE)
-        return Snapshot(self.tick, state, self._moment)
+        return Snapshot(self.tick, state, self._steps)
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Go back to a state of this simulation; :meth:`trace` then tells what led to it."""
+        """Go back to an earlier state; what happened since is forgotten.
+
+        Args:
+            snapshot: Of this run, from before now.
+
+        Raises:
+            ValueError: It belongs to what was forgotten.
+        """
+        if any(snapshot.steps <= at and tick < snapshot.tick for at, tick in self._returns):
+            raise ValueError("what led to this snapshot was forgotten when the run went back")
         mujoco.mj_setState(self._model, self.data, snapshot.state, _STATE)
-        self.tick, self._moment = snapshot.tick, snapshot.moment
+        self.tick = snapshot.tick
+        self._returns.append((self._steps, snapshot.tick))
 
     def trace(self) -> Trace:
         """Return what happened up to the present tick."""
-        moments, moment = [], self._moment
-        while moment is not None:
-            moments.append(moment)
-            moment = moment.before
-        moments.reverse()
-
-        def stacked(name: str, values: list[_Moment]) -> FloatArray:
-            return np.stack([getattr(m, name) for m in values])
-
-        # A record holds what led to its tick; nothing led to the first, and nothing is set at the
-        # last. Both take their neighbour's.
-        came = [*moments[1:2], *moments[1:]] or moments
-        sets = [*moments[1:], *moments[-1:]]
+        n = self.tick
+        # A record holds what led to its tick, and what was set at it; nothing led to the first, and
+        # nothing is set at the last. Both take their neighbour's.
+        came = [0, *range(n)] if n else [0]
+        sets = [*range(n), n - 1] if n else [0]
         return Trace(
-            stacked("qpos", moments),
-            stacked("qvel", moments),
-            stacked("ctrl", sets),
-            stacked("assist", came),
-            stacked("torque", came),
+            self._qpos[: n + 1].copy(),
+            self._qvel[: n + 1].copy(),
+            self._ctrl[sets],
+            self._assist[came],
+            self._torque[came],
         )
 
 
