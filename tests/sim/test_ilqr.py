@@ -146,6 +146,15 @@ def test_what_planners_keep_does_not_grow_with_the_clip(scene, reference):
         assert len(planner.derivatives._kept) <= planner.horizon + 1
 
 
+@pytest.mark.parametrize(("allowed", "most"), [(8, 2), (1, 1), (0, 0)])
+def test_a_short_motion_is_not_tried_many_times(scene, reference, allowed, most):
+    settings = IlqrSettings(recovery=allowed, threads=1)
+    with ThreadPoolExecutor(1) as pool:
+        run = _Run(settings, scene, reference, NONE, pool)
+    assert len(reference.root) < 3 * RATE
+    assert run._most_tries == most
+
+
 def hovering(points: FloatArray) -> FloatArray:
     return points + np.array([0.0, 0.0, 0.6])
 

@@ -139,6 +139,12 @@ class _Run:
         self.fallen: int | None = None
 
     @property
+    def _most_tries(self) -> int:
+        """How often this motion may be gone back in: what nobody can do is to end soon."""
+        seconds = (len(self.reference.root) - 1) / self.reference.rate
+        return min(self.settings.recovery, max(2, round(seconds)))
+
+    @property
     def error(self) -> float:
         """Mean distance of all keypoints from their goals so far, m."""
         keypoints = self.scene.keypoints(self.simulation.trace().qpos)
@@ -222,7 +228,7 @@ class _Run:
         place = int(tick / (0.5 * rate))
         again = recovery.tries.get(place, 0)
         stuck = again > 1 and tick / rate < recovery.events[-1]["lost_at"] + _FURTHER
-        if stuck or again >= _TRIES or len(recovery.events) >= self.settings.recovery:
+        if stuck or again >= _TRIES or len(recovery.events) >= self._most_tries:
             return False
         recovery.tries[place] = again + 1
         target = tick - (_BACK + _BACK_MORE * again) * rate

@@ -85,7 +85,8 @@ class IlqrSettings:
     feed_forward: float = 0.0
     """Share of the torque of inverse dynamics in the nominal targets."""
     recovery: int = 8
-    """Most times to go back and try harder; 0 never."""
+    """Most times to go back and try harder, and at most once per second of motion, twice in short
+    ones; 0 never."""
     refinements: int = 0
     """Further runs of the whole clip, each starting from the controls of the best so far."""
     exact: bool = False
