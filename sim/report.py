@@ -80,12 +80,15 @@ class Report:
 
     @property
     def passed(self) -> bool:
-        """Whether every metric with a threshold passes."""
-        return all(m.passed for m in self.metrics)
+        """Whether metrics with a threshold are there, and every one passes."""
+        judged = [m for m in self.metrics if m.threshold is not None]
+        return bool(judged) and all(m.passed for m in judged)
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """One line for every metric that does not pass."""
+        """One line for every metric that does not pass, or one that says that nothing was judged."""
+        if all(m.threshold is None for m in self.metrics):
+            return ("nothing in it was judged: no metric has a threshold",)
         return tuple(
             f"{m.name} of {'the ' if m.person == 'both' else ''}{m.of}"
             f"{'' if m.person == 'both' else ' ' + m.person}: {m.value:.4g} {m.unit}"

@@ -145,6 +145,14 @@ def test_rows_show_every_metric(report):
     assert all(len(row) == 6 for row in rows)
 
 
+def test_a_report_that_judges_nothing_lets_nothing_pass(report):
+    unjudged = tuple(replace(metric, threshold=None) for metric in report.metrics)
+    for metrics in ((), unjudged):
+        empty = replace(report, metrics=metrics)
+        assert not empty.passed
+        assert empty.failures == ("nothing in it was judged: no metric has a threshold",)
+
+
 def test_get_returns_the_worse_of_both(report):
     values = [m.value for m in report.metrics if m.name == "mpjpe_root"]
     assert report.get("mpjpe_root") == max(values)

@@ -19,7 +19,7 @@ from bridge.virtual import Fault, FaultPlan, VirtualBus, VirtualSerial, virtual_
 from robots.files import write_json
 from robots.registry import load_robot
 from robots.spec import RobotSpec
-from sim.report import Report
+from sim.report import Metric, Report
 
 ROBOTS = (load_robot("op3"), load_robot("marionette"))
 SMALL = tuple(dataclasses.replace(robot, joints=robot.joints[:3]) for robot in ROBOTS)
@@ -72,7 +72,17 @@ def write_duet(folder: Path, *, duration: float = 1.0) -> tuple[Path, Path, Path
     Report(
         kind="tracked",
         score=100.0,
-        metrics=(),
+        metrics=(
+            Metric(
+                name="mpjpe_global",
+                of="simulated",
+                person="both",
+                value=20.0,
+                unit="mm",
+                definition="distance from the motion",
+                threshold=100.0,
+            ),
+        ),
         text="they sway",
         licence="CC0-1.0",
         duration=duration,
