@@ -73,7 +73,7 @@ def clap(stage: Stage, role: Role, on: Span, start: float, end: float, height: f
         height: Above the upper spine, m.
     """
     weight = window(stage.times, start, on.start, on.end, end)
-    beat = np.abs(stage.rhythm(on, 1.35, 0.09))
+    beat = np.abs(stage.rhythm(on, 1.25, 0.065))
     for side in SIDES:
         rises = (height - 0.02 if side == "left" else height + 0.02) + 0.25 * beat
         spot = np.column_stack([np.full(len(beat), 0.29), 0.035 + beat, rises])

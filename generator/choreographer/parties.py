@@ -92,15 +92,14 @@ def _cha_cha_steps(
         )
         for at, side in ((0.0, free), (1.0, other), (2.0, free), (2.5, other), (3.0, free)):
             land = bar_start + at * count
-            role.footfalls.append(
-                Footfall(side, land - swing if at != 2.5 else land - 0.4 * count, land)
-            )
+            airborne = 0.38 * count if at in (2.5, 3.0) else swing
+            role.footfalls.append(Footfall(side, land - airborne, land))
     nothing = np.zeros(len(times))
     for side in SIDES:
         role.footing[side] = np.column_stack([rock[side], nothing, nothing])
 
 
-@interaction(ByReach(0.86, room=0.05))
+@interaction(ByReach(0.86, room=0.24))
 def twirl(stage: Stage) -> None:
     """One leads the other, hand in raised hand, into a full turn under the arm."""
     beat = stage.phases(
@@ -172,7 +171,7 @@ def do_si_do(stage: Stage) -> None:
     )
     times = stage.times
     angle = 2 * np.pi * _even(times, beat.hold.at(0.02), beat.hold.at(0.96))
-    wide = 0.31 * stage.scale * (0.8 + 0.2 * stage.style.distance)
+    wide = 0.37 * stage.scale * (0.8 + 0.2 * stage.style.distance)
     folded = window(times, beat.prepare.start, beat.prepare.end, beat.hold.end, beat.release.end)
     hop = np.abs(np.sin(2 * np.pi * 0.95 * stage.style.speed * times))
     moving = window(times, beat.hold.start, beat.hold.at(0.1), beat.hold.at(0.9), beat.hold.end)
@@ -202,7 +201,7 @@ def disco(stage: Stage) -> None:
     stage.face_to_face(arrive=beat.approach.end, travel=(0.0, 0.0))
     times, size, energy = stage.times, stage.style.amplitude, stage.style.energy
     on = window(times, beat.prepare.start, beat.prepare.end, beat.hold.end, beat.release.end)
-    count = 0.62 / (0.6 + 0.4 * stage.style.speed)
+    count = 0.70 / (0.7 + 0.3 * stage.style.speed)
     lag = min(stage.answer(), 0.3)
     mirrored = bool(stage.rng.random() < 0.5)
     for role in stage.people:
