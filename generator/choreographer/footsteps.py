@@ -82,7 +82,7 @@ class Foot:
 
 def plan_steps(role: Role) -> list[Step]:
     """Return the steps that carry a role along its path, in the order in which feet leave."""
-    spots = {side: _spots(role, side) for side in SIDES}
+    spots: Spots = {side: _spots(role, side) for side in SIDES}
     steps = _scripted(role, spots) if role.footfalls else _planned(role, spots)
     return _with_kicks(role, steps, spots)
 

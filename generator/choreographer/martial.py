@@ -20,7 +20,7 @@ def _guard(stage: Stage, role: Role, beat: Phases) -> FloatArray:
     on = window(
         times, beat.prepare.start, beat.prepare.end, beat.release.at(0.3), beat.depart.at(0.4)
     )
-    for side, ahead in (("left", 0.30), ("right", 0.23)):
+    for side, ahead in zip(SIDES, (0.30, 0.23), strict=True):
         role.gesture(side, (ahead, 0.10, 0.14), on, elbow=(-0.2, 0.5, -1.0))
     role.crouch += 0.04 * energy * on
     role.lean += 0.06 * on

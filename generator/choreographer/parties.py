@@ -90,7 +90,8 @@ def _cha_cha_steps(
                 bar_start + 1.6 * count,
             )
         )
-        for at, side in ((0.0, free), (1.0, other), (2.0, free), (2.5, other), (3.0, free)):
+        sides: tuple[Side, ...] = (free, other, free, other, free)
+        for at, side in zip((0.0, 1.0, 2.0, 2.5, 3.0), sides, strict=True):
             land = bar_start + at * count
             airborne = 0.38 * count if at in (2.5, 3.0) else swing
             role.footfalls.append(Footfall(side, land - airborne, land))
@@ -216,12 +217,12 @@ def disco(stage: Stage) -> None:
         role.heading += 0.12 * sign * sway * on
         role.nod += 0.08 * energy * bounce * on
         half = beat.hold.at(0.5)
-        for side, start, end in (
-            ("right", beat.prepare.start, half),
-            ("left", half, beat.release.end),
-        ):
-            arm: Side = side if sign > 0 else ("left" if side == "right" else "right")
-            rest: Side = "left" if arm == "right" else "right"
+        turns: tuple[tuple[Side, Side, float, float], ...] = (
+            ("right", "left", beat.prepare.start, half),
+            ("left", "right", half, beat.release.end),
+        )
+        for side, other, start, end in turns:
+            arm, rest = (side, other) if sign > 0 else (other, side)
             _disco_arm(stage, role, arm, Span(start + late, end), count)
             hand_on_hip(role, rest, window(times, start, start + 0.6, end - 0.5, end + 0.1))
 

@@ -13,7 +13,10 @@ from generator.choreographer.interaction import interaction
 from generator.choreographer.role import Role
 from generator.choreographer.spacing import Apart, ByReach
 from generator.choreographer.stage import PALM_TO_PALM, Span, Stage
-from generator.choreographer.style import FACING, SIDES
+from generator.choreographer.style import FACING, SIDES, Side
+
+Pairs = tuple[tuple[Side, Side], ...]
+"""Hands that meet: of the first role and of the second."""
 
 
 @interaction(Apart(1.15, least=1.0))
@@ -89,7 +92,7 @@ def pat_a_cake(stage: Stage) -> None:
         role.nod += 0.03 * np.sin(2 * np.pi * phase) * base
         role.crouch += 0.012 * stage.style.energy * open_ * base
     for order, moment in enumerate(moments[1::2]):
-        sides = (("right", "right"), ("left", "left"), *FACING)
+        sides: Pairs = (("right", "right"), ("left", "left"), *FACING)
         for pair in sides[2:] if order % 3 == 2 else (sides[order % 3],):
             stage.meet(
                 pair,
@@ -144,7 +147,7 @@ def tug_of_war(stage: Stage) -> None:
         role.nod += 0.15 * on
         lag = min(stage.answer(), 0.3) if role is stage.second else 0.0
         pull = np.roll(0.5 * heave, round(30 * lag)) * grip
-        for side, ahead in (("left", 0.48), ("right", 0.27)):
+        for side, ahead in zip(SIDES, (0.48, 0.27), strict=True):
             spot = np.column_stack(
                 [ahead - pull, np.full(len(times), 0.04), np.full(len(times), -0.14)]
             )
