@@ -10,8 +10,9 @@ is what the bytes of a cycle need at ten bits each.
 - *Saturated*: as many cycles as there is room for, as share of the limit. Ours leads two buses
   from one loop; the others, whose calls return when the answers are there, from a thread for each.
 - *Paced*: two buses at 100 Hz, as the player leads them, beside busy neighbours if asked. Jitter is
-  how late a tick begins, skew how long after the first bus the second has its command; a tick that
-  is still running when the next should begin makes that one be dropped.
+  how late a tick begins (and, beside it, how late this computer wakes a process that only waits),
+  skew how long after the first bus the second has its command; a tick that is still running when
+  the next should begin makes that one be dropped.
 
 - *Unhurried*: our client and the bus in one process, in virtual time. What a cycle costs each of
   them in CPU time, as share of the time its bytes need on the wire; below 100 % for both, nothing
@@ -196,6 +197,7 @@ def pace(clients: list[Client], run: Run) -> dict[str, Any]:
     """Lead all buses at a fixed rate."""
     ours = [client for client in clients if isinstance(client, Ours)]
     clock = MonotonicClock()
+    timer = idle_jitter(clock, run)
     skew: list[float] = []
     late: list[float] = []
     missed, tick = 0, 0
@@ -218,9 +220,20 @@ def pace(clients: list[Client], run: Run) -> dict[str, Any]:
         "missed": missed,
         "dropped": math.ceil(run.rate * run.seconds) - len(late),
         "jitter_p99_ms": 1e3 * float(np.percentile(late, 99)),
+        "timer_p99_ms": 1e3 * timer,
         "skew_p50_ms": 1e3 * float(np.percentile(skew, 50)),
         "skew_p99_ms": 1e3 * float(np.percentile(skew, 99)),
     }
+
+
+def idle_jitter(clock: MonotonicClock, run: Run) -> float:
+    """Return how late, s (p99), this computer wakes who does nothing but wait for the next tick."""
+    late = []
+    begin = clock.now()
+    for tick in range(1, int(run.rate * min(run.seconds, 5.0)) + 1):
+        clock.sleep_until(begin + tick / run.rate)
+        late.append(clock.now() - begin - tick / run.rate)
+    return float(np.percentile(late, 99))
 
 
 class TimedSerial(VirtualSerial):
@@ -299,7 +312,8 @@ def describe(row: dict[str, Any]) -> str:
     if row["rate"]:
         return (
             f"{head} at {row['rate']:.0f} Hz, {row['seconds']:.0f} s: {row['dropped']} late ticks,"
-            f" jitter p99 {row['jitter_p99_ms']:.2f} ms,"
+            f" jitter p99 {row['jitter_p99_ms']:.2f} ms"
+            f" (of a bare timer here {row['timer_p99_ms']:.2f}),"
             f" skew p50 {row['skew_p50_ms']:.3f} p99 {row['skew_p99_ms']:.3f} ms; {cost}"
         )
     target = TARGETS.get((row["baud"], row["fast"])) if row["client"] == "pasdedeux" else None
