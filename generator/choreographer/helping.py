@@ -200,7 +200,13 @@ def carry_together(stage: Stage) -> None:
         role.gaze -= 0.35 * hold
         bob = 0.010 * stage.style.amplitude * np.sin(2 * np.pi * 1.5 * times) * going
         for side in SIDES:
-            spot = np.column_stack([0.36 + 0.05 * deep, np.full(len(times), 0.20), -0.30 + bob])
+            spot = np.column_stack(
+                [
+                    0.36 + 0.05 * deep,
+                    np.full(len(times), 0.20),
+                    -0.34 + 0.04 * stage.style.amplitude + bob,
+                ]
+            )
             role.gesture(side, spot, hold, elbow=(-0.6, 0.5, -0.8))
     stage.second.heading += np.pi
 

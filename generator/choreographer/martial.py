@@ -167,7 +167,7 @@ def fence(stage: Stage) -> None:
         up = 0.02 + 0.12 * lunge + 0.10 * parry + 0.03 * np.sin(circle)
         role.gesture("right", np.column_stack([ahead, out, up]), on, elbow=(-0.3, 0.6, -1.0))
         behind = np.column_stack([-0.16 - 0.10 * lunge, 0.44 + 0.06 * lunge, 0.36 - 0.30 * lunge])
-        role.gesture("left", behind, on, elbow=(-0.6, 1.0, -0.2))
+        role.gesture("left", behind, on, elbow=(-0.5, 0.1, -1.0))
     salute = window(times, beat.release.at(0.2), beat.release.end, beat.depart.at(0.2), beat.end)
     for role in stage.people:
         role.gesture("right", (0.24, 0.02, 0.20), salute, elbow=(-0.1, 0.7, -0.9))

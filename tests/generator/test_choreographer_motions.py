@@ -213,12 +213,14 @@ def test_rotations_do_not_jump(name):
 @every_interaction
 def test_people_look_at_each_other_at_some_time(name):
     duet = choreograph(name, seed=1)
+    seen = []
     for motion, partner in ((duet.a, duet.b), (duet.b, duet.a)):
         head = global_rotations(motion.skeleton, rotations(motion))[motion.skeleton.index("head")]
         toward = partner.point("head") - motion.point("head")
         toward /= np.linalg.norm(toward, axis=1, keepdims=True)
         facing = np.einsum("ti,ti->t", head.apply([1.0, 0.0, 0.0]), toward)
-        assert facing.max() > (0.0 if name in NOT_SEEN else 0.8)
+        seen.append(facing.max())
+    assert (max(seen) if name in NOT_SEEN else min(seen)) > 0.8
 
 
 @every_interaction
@@ -227,7 +229,9 @@ def test_each_number_of_the_style_changes_the_motion(name):
         return choreograph(name, seed=4, style=Style(**changes)).keypoints
 
     plain = shown()
-    for changes in ({"energy": 1.4}, {"amplitude": 1.4}):
+    # What the classic ones do with the hands is fixed by their contacts.
+    larger = () if name in CLASSIC else ({"amplitude": 1.4},)
+    for changes in ({"energy": 1.4}, *larger):
         assert np.abs(shown(**changes) - plain).max() > 0.004, changes
     assert len(shown(speed=0.8)) > len(plain)
 
