@@ -32,7 +32,7 @@ def test_choices_are_all_combinations():
 
 @every_interaction
 def test_at_least_200_sentences_before_any_adverb(name):
-    plain = {told(name, Style(swap=bool(i % 2)), i).text.lower() for i in range(450)}
+    plain = {told(name, Style(swap=bool(i % 2)), i).text.lower() for i in range(900)}
     assert len(plain) >= 200
 
 
