@@ -73,7 +73,9 @@ def fit_skeleton(skeleton: Skeleton, keypoints: NDArray) -> Skeleton:
     return skeleton.with_bone_lengths(np.concatenate([[0.0], lengths]))
 
 
-def fit_rotations(skeleton: Skeleton, keypoints: NDArray) -> FloatArray:
+def fit_rotations(
+    skeleton: Skeleton, keypoints: NDArray, near: NDArray | None = None
+) -> FloatArray:
     """Return rotations ``[T, J, 4]`` wxyz that turn the rest pose into given keypoints.
 
     Directions of bones are met, not their lengths. Signs are continuous over time.
@@ -81,7 +83,10 @@ def fit_rotations(skeleton: Skeleton, keypoints: NDArray) -> FloatArray:
     Args:
         skeleton: Rest pose.
         keypoints: ``[T, J, 3]`` m, world frame.
+        near: Rotations ``[T, J, 4]`` wxyz that say what positions do not: the spin of bones about
+            themselves and how hands, feet and head are turned. Without, see the top of this file.
     """
+    given = [] if near is None else global_rotations(skeleton, near)
     count = len(skeleton)
     children: list[list[int]] = [[] for _ in range(count)]
     for j, parent in enumerate(skeleton.parents):
@@ -93,13 +98,15 @@ def fit_rotations(skeleton: Skeleton, keypoints: NDArray) -> FloatArray:
         base = frames[parent] if parent >= 0 else Rotation.identity(len(keypoints))
         rest = skeleton.offsets[children[j]]
         seen = keypoints[:, children[j]] - keypoints[:, j : j + 1]
+        if near is not None and parent >= 0:
+            base = given[j] if children[j] else base * from_wxyz(near[:, j])
         if not children[j]:
             frame = base
         elif len(children[j]) > 1:
             frame = _rigid_fit(rest, seen)
         else:
             frame = _swing(base.apply(rest[0]), seen[:, 0]) * base
-            if skeleton.names[j] in _HINGES:
+            if near is None and skeleton.names[j] in _HINGES:
                 frame = _turn_to_hinge(skeleton, keypoints, j, frame)
         frames.append(frame)
     rotations = np.empty((len(keypoints), count, 4))

@@ -1,0 +1,113 @@
+"""Where and when two people are meant to touch, if nobody said so.
+
+**The problem.** Hands that come near may be about to meet, or may only hang beside each other. Two
+hands are taken to be meant to touch if both are raised above the pelvis, come within the bound of
+:attr:`Finishing.detect_gap` and stay so for a moment at low relative speed. A caller who knows what
+the two do can name the pairs of points instead; each then touches where it comes nearest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from generator.choreographer.clearance import ARMS, LEGS, TRUNK
+from generator.finishing.corrections import runs
+from generator.finishing.figure import Figure
+from generator.finishing.settings import Finishing
+from generator.motion import LEFT_HAND, RIGHT_HAND, Contact
+from robots.skeleton import FloatArray
+
+HANDS = (LEFT_HAND, RIGHT_HAND)
+HAND_GAP = 0.06
+"""Distance between the knuckles of two hands that hold each other, m."""
+HALF_HAND = 0.03
+"""Thickness of a hand beyond its knuckle, m."""
+
+_SLOW = 0.5
+"""Relative speed below which two hands may be touching, m/s."""
+_SHORTEST = 0.2
+"""Shortest touch that is found, s."""
+_NEAREST = 0.03
+"""How much farther apart than at their nearest two points still touch, m."""
+_LOOK = 0.05
+"""Low-pass before speeds are judged, s."""
+
+Pair = tuple[str, str]
+"""A point of person a and one of person b."""
+
+
+def find_touches(
+    figures: tuple[Figure, Figure], fps: float, settings: Finishing
+) -> tuple[Contact, ...]:
+    """Return the touches of two hands that nobody announced; no hand touches two at a time."""
+    found: list[tuple[float, Contact]] = []
+    for pair in product(HANDS, HANDS):
+        paths = [figure.point(name) for figure, name in zip(figures, pair, strict=True)]
+        between = gaussian_filter1d(paths[1] - paths[0], _LOOK * fps, axis=0, mode="nearest")
+        distance = np.linalg.norm(between, axis=1)
+        speed = np.linalg.norm(np.gradient(between, axis=0), axis=1) * fps
+        raised = [
+            path[:, 2] > figure.point("pelvis")[:, 2]
+            for path, figure in zip(paths, figures, strict=True)
+        ]
+        near = (distance < HAND_GAP + settings.detect_gap) & (speed < _SLOW)
+        for at in runs(near & raised[0] & raised[1]):
+            if at.stop - at.start >= _SHORTEST * fps:
+                contact = _contact(pair, distance, at, fps)
+                found.append((float(distance[at].min()), contact))
+    return _without_conflicts([contact for _, contact in sorted(found, key=lambda f: f[0])])
+
+
+def nearest_touches(
+    figures: tuple[Figure, Figure], fps: float, pairs: Sequence[Pair]
+) -> tuple[Contact, ...]:
+    """Return one touch for each pair of points: where they are nearest to each other."""
+    touches = []
+    for pair in pairs:
+        paths = [figure.point(name) for figure, name in zip(figures, pair, strict=True)]
+        between = gaussian_filter1d(paths[1] - paths[0], _LOOK * fps, axis=0, mode="nearest")
+        touches.append(_contact(pair, np.linalg.norm(between, axis=1), slice(None), fps))
+    return tuple(touches)
+
+
+def _contact(pair: Pair, distance: FloatArray, at: slice, fps: float) -> Contact:
+    """Return the touch of a pair around its nearest moment within a slice of time."""
+    first = at.start or 0
+    course = distance[at]
+    nearest = int(np.argmin(course))
+    near: NDArray[np.bool_] = course < course[nearest] + _NEAREST
+    spell = next(run for run in runs(near) if run.start <= nearest < run.stop)
+    start, stop = first + spell.start, first + spell.stop - 1
+    return Contact(*pair, start / fps, stop / fps, touching_gap(pair))
+
+
+def touching_gap(pair: Pair) -> float:
+    """Return how far apart two points are when a person of 1.70 m touches another there, m."""
+    if pair[0] in HANDS and pair[1] in HANDS:
+        return HAND_GAP
+    return sum(HALF_HAND if name in HANDS else _radius(name) for name in pair)
+
+
+def _radius(name: str) -> float:
+    """Return the thickness of the body around a keypoint, m."""
+    sizes = [c.radius for c in TRUNK + LEGS + ARMS if name in (c.start, c.end)]
+    return max(sizes, default=0.08)
+
+
+def _without_conflicts(contacts: list[Contact]) -> tuple[Contact, ...]:
+    """Return the contacts, the first ones first, that leave each hand one partner at a time."""
+    kept: list[Contact] = []
+    for contact in contacts:
+        if not any(
+            (contact.a == other.a or contact.b == other.b)
+            and contact.start <= other.end
+            and other.start <= contact.end
+            for other in kept
+        ):
+            kept.append(contact)
+    return tuple(sorted(kept, key=lambda c: c.start))
