@@ -86,7 +86,7 @@ class Report:
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """One line for every metric that does not pass, or one that says that nothing was judged."""
+        """One line for every metric that does not pass, or one that says that none was judged."""
         if all(m.threshold is None for m in self.metrics):
             return ("nothing in it was judged: no metric has a threshold",)
         return tuple(
