@@ -128,7 +128,7 @@ def pat_head(stage: Stage) -> None:
     )
 
 
-@interaction(ByReach(0.68, room=0.06))
+@interaction(ByReach(0.68, room=0.06), overlap=0.02)
 def shoulder_massage(stage: Stage) -> None:
     """One stands behind the other and kneads both shoulders."""
     beat = stage.phases(
@@ -152,7 +152,7 @@ def shoulder_massage(stage: Stage) -> None:
             on=on,
             start=beat.approach.at(0.85),
             end=beat.release.end,
-            elbow=(-0.2, 0.9, -0.7),
+            elbow=(-0.2, 1.0, -0.45),
         )
     near = window(times, beat.prepare.start, on.start, on.end, beat.release.end)
     first.lean += 0.07 * near + 0.3 * np.abs(knead) * energy

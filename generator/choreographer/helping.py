@@ -121,7 +121,7 @@ def support_walk(stage: Stage) -> None:
     hurt.gesture("right", (0.14, 0.12, -0.22), clutch, elbow=(-0.3, 1.0, -0.3))
 
 
-@interaction(Apart(0.76, least=0.70))
+@interaction(Apart(0.82, least=0.80))
 def walk_hand_in_hand(stage: Stage) -> None:
     """Both stroll along hand in hand, the joined hands swinging."""
     beat = stage.phases(

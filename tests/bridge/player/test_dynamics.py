@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import ExitStack
 
 import numpy as np
@@ -18,6 +19,7 @@ from bridge.show import clip_of_telemetry
 from bridge.stages import TRAJECTORIES
 from bridge.trajectory import JointTrajectory
 from bridge.virtual import VirtualSerial, virtual_bus_for
+from robots.errors import BusTimeout
 from robots.registry import load_robot
 from robots.spec import RobotSpec
 
@@ -80,12 +82,22 @@ def test_a_minute_of_two_walking_robots_on_their_own_bodies_stays_in_step(tmp_pa
         assert 0.5 < track.rms_deg < 5.0
         assert 20 < track.lag_ms < 150
     recording = Recording.load(path)
-    assert recording.times[-1] == pytest.approx(60.0, abs=0.5)
+    assert 60.0 <= recording.times[-1] < 63.0  # and then both go to their rest pose
     clip = clip_of_telemetry(path)
     columns = [clip.model.joint(f"b/{name}").qposadr[0] for name in OP3.joint_names]
     shown = clip.qpos[np.rint(recording.times * clip.fps).astype(int)][:, columns]
     # The nearest picture is up to half a frame from the tick: 8 ms at less than 6 rad/s.
     np.testing.assert_allclose(shown, recording.people[1].present, atol=0.05)
+
+
+def lateness() -> float:
+    """Return how late, s (p99), this computer wakes who only waits."""
+    late = []
+    begin = time.monotonic()
+    for tick in range(1, 201):
+        time.sleep(max(0.0, begin + tick / 100 - time.monotonic()))
+        late.append(time.monotonic() - begin - tick / 100)
+    return float(np.percentile(late, 99))
 
 
 @pytest.mark.slow
@@ -97,15 +109,20 @@ def test_five_seconds_of_it_in_real_time_over_two_terminals_can_be_watched_after
         dance(5.0, phase).save(path)
     telemetry = tmp_path / "telemetry.jsonl"
     settings = PlayerSettings(rate=30, ramp_time=1.0, settle_time=0.2, end="hold", max_stall=2)
-    performance = conduct(
-        PlayRequest(
-            trajectories=(paths[0], paths[1]),
-            telemetry=telemetry,
-            plant="mujoco",
-            settings=settings,
-            force=True,
-        )
+    request = PlayRequest(
+        trajectories=(paths[0], paths[1]),
+        telemetry=telemetry,
+        plant="mujoco",
+        settings=settings,
+        force=True,
     )
+    try:
+        performance = conduct(request)
+    except BusTimeout as error:
+        late = lateness()
+        if late > 0.001:
+            pytest.skip(f"no real time here, waits end {1e3 * late:.1f} ms late: {error}")
+        raise
     assert performance.completed
     assert performance.ticks > 75  # of 151: the machine may have other things to do
     assert performance.skew_p99_ms < 20
