@@ -245,17 +245,14 @@ class Packet:
     """Bytes it took on the wire."""
 
 
-class Parser:
-    """Finds packets in a stream of bytes.
-
-    Never raises on any bytes; see the module's text for what it keeps and drops.
-    """
+class StreamBuffer:
+    """Bytes of a stream that no packet has been made of yet."""
 
     def __init__(self) -> None:
         """Start with nothing seen."""
         self._buffer = bytearray()
         self.dropped = 0
-        """Bytes thrown away so far because they belonged to no packet."""
+        """Bytes thrown away so far because they belonged to no intact packet."""
 
     @property
     def pending(self) -> int:
@@ -266,6 +263,13 @@ class Parser:
         """Forget the bytes kept, as after silence on the line."""
         self.dropped += len(self._buffer)
         self._buffer.clear()
+
+
+class Parser(StreamBuffer):
+    """Finds packets in a stream of bytes.
+
+    Never raises on any bytes; see the module's text for what it keeps and drops.
+    """
 
     def feed(self, data: bytes | bytearray | memoryview) -> list[Packet]:
         """Take more bytes and return the packets that are now complete."""

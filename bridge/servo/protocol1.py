@@ -67,28 +67,12 @@ class Packet:
     """Whether its checksum was right."""
 
 
-class Parser:
+class Parser(packets.StreamBuffer):
     """Finds packets in a stream of bytes.
 
     Never raises on any bytes. Of a packet with a wrong checksum, which is given out as such, only
     the first byte is dropped: a whole one may begin inside.
     """
-
-    def __init__(self) -> None:
-        """Start with nothing seen."""
-        self._buffer = bytearray()
-        self.dropped = 0
-        """Bytes thrown away so far because they belonged to no intact packet."""
-
-    @property
-    def pending(self) -> int:
-        """Bytes kept because they may be the start of a packet."""
-        return len(self._buffer)
-
-    def reset(self) -> None:
-        """Forget the bytes kept, as after silence on the line."""
-        self.dropped += len(self._buffer)
-        self._buffer.clear()
 
     def feed(self, data: bytes | bytearray | memoryview) -> list[Packet]:
         """Take more bytes and return the packets that are now complete."""
