@@ -21,6 +21,7 @@ from robots.files import plain, write_json
 if TYPE_CHECKING:
     from bridge.player.telemetry import Performance
     from generator.intergen import IntergenRequest
+    from generator.runtime.generation import DiffusionRequest
     from sim.outcome import TrackOutcome
     from sim.report import Report
     from sim.track import TrackSettings
@@ -46,6 +47,8 @@ class RunSettings:
     """Who turns sentences into motion."""
     intergen: IntergenRequest | None = None
     """Which model, and what is given, if that is InterGen."""
+    diffusion: DiffusionRequest | None = None
+    """Which model, if that is one without torch."""
     nearest: bool = False
     """Take the nearest interaction for a sentence outside the repertoire."""
     tracking: TrackSettings | None = None
@@ -193,6 +196,7 @@ def _motion(settings: RunSettings, progress: Progress) -> dict[str, Any]:
         nearest_known=settings.nearest,
         generator=settings.generator,
         intergen=settings.intergen,
+        diffusion=settings.diffusion,
         progress=progress,
     )
 

@@ -29,6 +29,7 @@ if TYPE_CHECKING:  # physics, hardware and networks are loaded by the stages tha
     from bridge.player.settings import PlayerSettings
     from bridge.player.telemetry import Performance
     from generator.intergen import IntergenRequest
+    from generator.runtime.generation import DiffusionRequest
     from robots.spec import RobotSpec
     from sim.outcome import TrackOutcome
     from sim.report import Report
@@ -37,7 +38,7 @@ if TYPE_CHECKING:  # physics, hardware and networks are loaded by the stages tha
 
 Progress = Callable[[float], None]
 
-GENERATORS = ("choreographer", "intergen")
+GENERATORS = ("choreographer", "diffusion", "intergen")
 CONTROLLERS = ("ilqr", "mppi", "assist")
 SHOWN = ("plan", "servos")
 """What puppets in a film do: what the trajectories ask for, or what the servos did."""
@@ -69,6 +70,7 @@ def generate(
     nearest_known: bool = False,
     generator: str = GENERATORS[0],
     intergen: IntergenRequest | None = None,
+    diffusion: DiffusionRequest | None = None,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Write ``motion.npz`` for a sentence; return what was understood.
@@ -80,6 +82,7 @@ def generate(
         nearest_known: The choreographer takes the nearest interaction it knows.
         generator: Who turns sentences into motion.
         intergen: Which model, and what is given of the motion, for ``intergen``.
+        diffusion: Which model, and how it is drawn from, for ``diffusion``.
         progress: Told the share done.
 
     Raises:
@@ -99,6 +102,14 @@ def generate(
         from generator.intergen import generate as draw
 
         drawn, facts = draw(text, intergen or IntergenRequest(), seed=seed, progress=progress)
+        write_motion(drawn, out)
+        return {"text": text, "generator": generator, **facts, **describe(drawn)}
+    if generator == "diffusion":
+        from generator.runtime.generation import DiffusionRequest
+        from generator.runtime.generation import generate as sample
+
+        request = diffusion or DiffusionRequest()
+        drawn, facts = sample(text, request, seed=seed, progress=progress)
         write_motion(drawn, out)
         return {"text": text, "generator": generator, **facts, **describe(drawn)}
     from generator.choreographer.from_text import generate as choreograph

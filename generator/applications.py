@@ -34,7 +34,7 @@ from generator.diffusion import STEPS, SamplerConfig, sample
 from generator.features import CONTACTS, POINTS, POSITIONS, VELOCITIES, decode
 from generator.given import Given
 from generator.guidance import Guided
-from generator.model import InterGen
+from generator.model import InterGen, fresh_noise
 from generator.motion import DuetMotion
 from generator.precision import matmul_precision
 from generator.smoothing import smooth
@@ -184,9 +184,8 @@ def sample_around(
                     return previous
                 return guided(keep.put(x) if clean_input else x, step)
 
-            return sample(
-                predict, noise, config, generator=generator, constrain=keep, progress=progress
-            )
+            fresh = fresh_noise(generator)
+            return sample(predict, noise, config, fresh=fresh, constrain=keep, progress=progress)
     finally:
         model.train(was_training)
 

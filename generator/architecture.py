@@ -40,6 +40,11 @@ class DenoiserConfig:
     """Numbers per person and frame."""
     text_width: int = 768
     """Width of the condition vector."""
+    text_tokens: int = 0
+    """Above 0, the condition vector is so many token vectors in a row, zeros where the sentence has
+    ended, and the network has layers of its own to read them; else it is taken as it is."""
+    text_layers: int = 2
+    """How many layers read the tokens."""
     representation: Literal["non_canonical", "canonical"] = "non_canonical"
     """What the numbers mean: eq. (2), or eq. (1) for the row "canonical rep"."""
     conditioning: Literal["mutual", "concat"] = "mutual"
@@ -61,6 +66,15 @@ class DenoiserConfig:
                     where="denoiser",
                     allowed=" or ".join(allowed),
                 )
+        for name in ("text_tokens", "text_layers"):
+            value = getattr(self, name)
+            if not isinstance(value, int) or value < 0:
+                raise SpecError(f"{name} is {value!r}", where="denoiser", allowed="0 or more")
+        if self.text_tokens and self.text_width % self.text_tokens:
+            raise SpecError(
+                f"text_width {self.text_width} does not divide by {self.text_tokens} tokens",
+                where="denoiser",
+            )
         if self.width % self.heads or self.width % 2:
             raise SpecError(
                 f"width {self.width} does not divide by {self.heads} heads and by 2",

@@ -16,13 +16,13 @@ from generator.data import BatchConfig, BatchStream, Clip, ClipCache, ClipSet, c
 from generator.evaluation import EvaluationConfig, Watch, evaluate
 from generator.evaluator import InterClip, load_evaluator, load_release_evaluator, save_evaluator
 from generator.intergen import load_model
+from generator.model_folder import HEADER, read_header
 from generator.text.encoder import default_encoder
 from generator.training.config import RunConfig, SourceConfig, load_config
 from generator.training.contrastive import ContrastiveConfig, train_evaluator
 from generator.training.prepare import make_source, make_stream, shared_caches
 from generator.training.processes import Processes
 from generator.training.train import CONFIG
-from generator.weights import HEADER, read_header
 from robots.errors import SpecError, nearest
 from robots.files import sha256
 

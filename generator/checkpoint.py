@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import zipfile
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,9 @@ from torch import Tensor
 
 from generator.architecture import DenoiserConfig
 from generator.denoiser import sinusoids
-from generator.model import InterGen, Provenance
+from generator.model import InterGen
+from generator.model_folder import from_json, require_format
+from generator.provenance import Provenance
 from generator.release_keys import (
     DUPLICATE,
     TABLES,
@@ -29,10 +31,15 @@ from generator.release_keys import (
     denoiser_state,
     infer_config,
 )
-from generator.text.encoder import MiniLmEncoder, SentenceEncoder, default_encoder
+from generator.text.encoder import (
+    MiniLmEncoder,
+    SentenceEncoder,
+    TokenEncoder,
+    packaged_encoder,
+)
 from generator.text.release_text import ReleaseText
-from generator.weights import adopt, load_weights, require, require_format, save_weights
-from robots.errors import CheckpointError, DuetError, nearest
+from generator.weights import adopt, load_weights, require, save_weights
+from robots.errors import CheckpointError, DuetError
 from robots.files import parse_npy
 
 logger = logging.getLogger(__name__)
@@ -100,11 +107,17 @@ def load_release(
     return model.eval()
 
 
-def save(model: InterGen, folder: str | Path) -> str:
+def save(model: InterGen, folder: str | Path, *, half: bool = False, **entries: Any) -> str:
     """Write a model as a folder of safetensors and JSON, whole or not at all.
 
     A text encoder that has weights of its own (:class:`ReleaseText`) is saved with it; of any other
     the kind is noted.
+
+    Args:
+        model: The model.
+        folder: Made if it does not exist; an older model in it is replaced.
+        half: Whether the network's weights are stored in half the bytes, rounded to 11 bits.
+        entries: Further entries of the header.
 
     Returns:
         The SHA-256 of the weights.
@@ -113,6 +126,8 @@ def save(model: InterGen, folder: str | Path) -> str:
         CheckpointError: The folder cannot be written to.
     """
     tensors = {key: value.float() for key, value in model.state_dict().items()}
+    if half:
+        tensors |= {f"denoiser.{k}": v.half() for k, v in model.denoiser.named_parameters()}
     if isinstance(model.text, ReleaseText):
         tensors |= {_TEXT + key: value for key, value in model.text.state_dict().items()}
     header = {
@@ -121,6 +136,7 @@ def save(model: InterGen, folder: str | Path) -> str:
         "architecture": asdict(model.config),
         "text_encoder": text_kind(model.text),
         "provenance": asdict(model.provenance),
+        **entries,
     }
     return save_weights(folder, header, tensors)
 
@@ -160,14 +176,17 @@ def text_kind(encoder: SentenceEncoder | None) -> str:
         return ""
     if isinstance(encoder, MiniLmEncoder):
         return "minilm"
+    if isinstance(encoder, TokenEncoder):
+        return "minilm-tokens"
     return str(getattr(encoder, "kind", type(encoder).__name__))
 
 
 def _make_encoder(kind: str, words: dict[str, Tensor], folder: Path) -> SentenceEncoder | None:
     if kind == "":
         return None
-    if kind == "minilm":
-        return default_encoder()
+    packaged = packaged_encoder(kind)
+    if packaged is not None:
+        return packaged
     if kind == ReleaseText.kind:
         return ReleaseText.from_state(words, where=str(folder), folder=folder)
     raise CheckpointError(
@@ -175,26 +194,6 @@ def _make_encoder(kind: str, words: dict[str, Tensor], folder: Path) -> Sentence
         where=str(folder),
         hint="pass it as encoder=..., or load with text=False",
     )
-
-
-def from_json(kind: type, value: Any, where: str) -> Any:
-    """Return the dataclass ``kind`` that a header holds as an object.
-
-    Raises:
-        CheckpointError: An entry is unknown or wrong.
-    """
-    if not isinstance(value, dict):
-        raise CheckpointError(f"the header has no {kind.__name__}", where=where)
-    known = {item.name for item in fields(kind)}
-    for key in value:
-        if key not in known:
-            raise CheckpointError(
-                f"the header has an unknown entry '{key}'", where=where, hint=nearest(key, known)
-            )
-    try:
-        return kind(**value)
-    except (DuetError, TypeError) as error:
-        raise CheckpointError(f"the header is wrong: {error}", where=where) from error
 
 
 def read_lightning(path: Path) -> dict[str, Tensor]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import cast
 
 import torch
@@ -35,9 +36,12 @@ def sinusoids(positions: int, width: int) -> Tensor:
     return torch.stack([angle.sin(), angle.cos()], dim=-1).reshape(positions, width)
 
 
-def adaptive_norm(hidden: Tensor, scale: Tensor, shift: Tensor) -> Tensor:
-    """Return layer norm without weights, then ``h (1 + scale) + shift``; both ``[B, 1, D]``."""
-    normed = functional.layer_norm(hidden, hidden.shape[-1:], eps=1e-6)
+def adaptive_norm(hidden: Tensor, scale: Tensor, shift: Tensor, *, width: int) -> Tensor:
+    """Return layer norm without weights, then ``h (1 + scale) + shift``; both ``[B, 1, D]``.
+
+    The width is given, not read off: whoever traces the network is to see a number.
+    """
+    normed = functional.layer_norm(hidden, (width,), eps=1e-6)
     return torch.addcmul(shift, normed, 1 + scale)
 
 
@@ -72,12 +76,12 @@ class Attention(nn.Module):
         nn.init.zeros_(self.out.bias)
 
     def forward(self, queries: Tensor, context: Tensor | None, keep: Tensor | None) -> Tensor:
-        """Return ``[..., T, D]``.
+        """Return ``[P, B, T, D]``.
 
         Args:
-            queries: ``[..., T, D]``.
-            context: ``[..., S, D]``, source of keys and values; ``None`` if not mutual.
-            keep: ``[..., 1, 1, S + 1]``, which keys may be attended to; ``None``: all.
+            queries: ``[P, B, T, D]``.
+            context: ``[P, B, S, D]``, source of keys and values; ``None`` if not mutual.
+            keep: ``[P, B, 1, 1, S + 1]``, which keys may be attended to; ``None``: all.
         """
         if context is None:
             q, *keys_values = self.project(queries).chunk(3, dim=-1)
@@ -91,7 +95,8 @@ class Attention(nn.Module):
             attn_mask=None if keep is None else keep.flatten(0, -4),
             dropout_p=self.dropout if self.training else 0.0,
         )
-        return self.out(mixed.transpose(1, 2).reshape(queries.shape))
+        people, _, *rest = queries.shape  # -1: a trace would take the number of motions for fixed
+        return self.out(mixed.transpose(1, 2).reshape(people, -1, *rest))
 
     def _split(self, part: Tensor) -> Tensor:
         return part.unflatten(-1, (self.heads, -1)).transpose(-2, -3)
@@ -124,7 +129,7 @@ class Block(nn.Module):
     def __init__(self, config: DenoiserConfig) -> None:
         """Make the layers of one block."""
         super().__init__()
-        width = config.width
+        self.width = width = config.width
         self.mutual = config.conditioning == "mutual"
         self.norms = 4 if self.mutual else 2
         self.modulation = nn.Linear(width, 2 * self.norms * width)
@@ -148,13 +153,55 @@ class Block(nn.Module):
             keep: ``[P, B, 1, 1, T + 1]``, which frames count.
         """
         parts = modulation[:, None].chunk(2 * self.norms, dim=-1)
-        own = adaptive_norm(hidden, *parts[0:2])
+        norm = partial(adaptive_norm, width=self.width)
+        own = norm(hidden, *parts[0:2])
         hidden = hidden + self.self_attention(own, None, keep)
         if self.mutual:
-            queries = adaptive_norm(hidden, *parts[4:6])
-            context = adaptive_norm(partner, *parts[6:8])
+            queries = norm(hidden, *parts[4:6])
+            context = norm(partner, *parts[6:8])
             hidden = hidden + self.mutual_attention(queries, context, keep)
-        return hidden + self.feedforward(adaptive_norm(hidden, *parts[2:4]))
+        return hidden + self.feedforward(norm(hidden, *parts[2:4]))
+
+
+class TextReader(nn.Module):
+    """Reads a sentence's tokens, with layers that learn what matters for motion.
+
+    **The problem.** The mean of a sentence's token vectors says what is done, but hardly by whom:
+    "A is pushed by B" and "B is pushed by A" have nearly the same one. Each token by itself knows
+    its place. As the public release does on top of CLIP, a few layers of attention are trained to
+    read them.
+    """
+
+    def __init__(self, config: DenoiserConfig) -> None:
+        """Make the layers."""
+        super().__init__()
+        width = config.width
+        self.tokens = config.text_tokens
+        self.embed = nn.Linear(config.text_width // config.text_tokens, width)
+        self.place = nn.Parameter(0.02 * torch.randn(config.text_tokens, width))
+        self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(2 * config.text_layers + 1))
+        self.attentions = nn.ModuleList(
+            Attention(width, config.heads, config.dropout, mutual=False)
+            for _ in range(config.text_layers)
+        )
+        self.feedforwards = nn.ModuleList(
+            FeedForward(width, 2 * width, config.dropout) for _ in range(config.text_layers)
+        )
+        self.out = nn.Linear(width, width)
+
+    def forward(self, cond: Tensor) -> Tensor:
+        """Return ``[B, D]`` of the tokens ``[B, C]``; without any, the same for all."""
+        tokens = cond.unflatten(-1, (self.tokens, -1))
+        real = (tokens != 0).any(-1).to(tokens.dtype)
+        keep = (functional.pad(real, (0, 1), value=1.0) > 0.5)[None, :, None, None]
+        hidden = (self.embed(tokens) + self.place)[None]  # as of one person: [1, B, L, D]
+        layers = zip(self.attentions, self.feedforwards, strict=True)
+        for number, (attention, feedforward) in enumerate(layers):
+            hidden = hidden + attention(self.norms[2 * number](hidden), None, keep)
+            hidden = hidden + feedforward(self.norms[2 * number + 1](hidden))
+        weight = real[..., None].to(hidden.dtype)
+        mean = (self.norms[-1](hidden[0]) * weight).sum(1) / weight.sum(1).clamp_min(1)
+        return self.out(mean)
 
 
 class Network(nn.Module):
@@ -166,7 +213,9 @@ class Network(nn.Module):
         width = config.width
         inputs = config.features * (1 if config.conditioning == "mutual" else 2)
         self.embed_motion = nn.Linear(inputs, width)
-        self.embed_text = nn.Linear(config.text_width, width)
+        self.embed_text = (
+            TextReader(config) if config.text_tokens else nn.Linear(config.text_width, width)
+        )
         self.embed_time = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
         blocks = nn.ModuleList(Block(config) for _ in range(config.layers))
         self.blocks = cast(Sequence[Block], blocks)
@@ -174,13 +223,14 @@ class Network(nn.Module):
         nn.init.zeros_(self.out.weight)
         nn.init.zeros_(self.out.bias)
 
-    def condition(self, time: Tensor, cond: Tensor) -> Tensor:
-        """Return what time ``[B, D]`` (its sinusoids) and text ``[B, C]`` add up to, ``[B, D]``."""
-        return self.embed_time(time) + self.embed_text(cond)
+    def modulations(self, time: Tensor, text: Tensor) -> Tensor:
+        """Return scales and shifts of every block, ``[layers, B, ...]``.
 
-    def modulations(self, condition: Tensor) -> Tensor:
-        """Return scales and shifts of every block, ``[layers, B, ...]``."""
-        active = functional.silu(condition)
+        Args:
+            time: ``[B, D]`` sinusoids of the steps.
+            text: ``[B, D]`` what ``embed_text`` made of the condition vectors.
+        """
+        active = functional.silu(self.embed_time(time) + text)
         return torch.stack([block.modulation(active) for block in self.blocks])
 
 
@@ -207,15 +257,24 @@ class Denoiser(nn.Module):
             cond: ``[B, C]`` condition; zeros for the unconditional branch.
             mask: ``[B, T]``, nonzero where a frame exists; ``None``: everywhere.
         """
-        return self.denoise(x, self.modulations(t, cond), mask)
+        return self.denoise(x, self.modulations(t, self.read(cond)), mask)
 
-    def modulations(self, t: Tensor, cond: Tensor) -> Tensor:
-        """Return what ``t [B]`` and ``cond [B, C]`` do to every block: ``[nets, layers, B, ...]``.
+    def read(self, cond: Tensor) -> Tensor:
+        """Return ``[nets, B, D]`` of condition vectors ``[B, C]``: the same at every step."""
+        return torch.stack([net.embed_text(cond) for net in self.networks])
+
+    def modulations(self, t: Tensor, text: Tensor) -> Tensor:
+        """Return what time and text do to every block: ``[nets, layers, B, ...]``.
 
         It does not depend on the motion, so a sampler makes it for all its steps at once.
+
+        Args:
+            t: ``[B]`` diffusion steps.
+            text: ``[nets, B, D]`` from :meth:`read`.
         """
         time = self.positions[t]
-        return torch.stack([net.modulations(net.condition(time, cond)) for net in self.networks])
+        both = zip(self.networks, text.unbind(), strict=True)
+        return torch.stack([net.modulations(time, words) for net, words in both])
 
     def denoise(self, x: Tensor, modulations: Tensor, mask: Tensor | None = None) -> Tensor:
         """Return the predicted clean motion, as :meth:`forward`, given :meth:`modulations`."""

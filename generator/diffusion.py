@@ -4,6 +4,9 @@ The network predicts the clean motion x0, so everything is written in x0 and noi
 
     x_t = sqrt(abar_t) x0 + sqrt(1 - abar_t) eps
 
+Torch-free: the samplers are arithmetic, which torch's tensors and numpy's arrays both know, so the
+same lines draw a motion in training and where torch is not installed.
+
 Own code rather than a library's schedulers: it is forty lines, it keeps the *constrained*
 prediction of the last step as the result, and docs/intergen.md compares it with ``diffusers``.
 """
@@ -14,22 +17,26 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from robots.errors import SpecError, nearest
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 STEPS = 1000
 """Diffusion steps T of training."""
 
-Predict = Callable[[Tensor, int], Tensor]
+Array = TypeVar("Array", "Tensor", "NDArray[Any]")
+"""What motions are kept in."""
+
+Predict = Callable[[Array, int], Array]
 """Takes ``x_t [B, ...]`` and the step t, gives the predicted clean motion."""
 
-Constrain = Callable[[Tensor, int], Tensor]
+Constrain = Callable[[Array, int], Array]
 """Takes a predicted clean motion ``[B, ...]`` and the step t, returns it with what is given put in
 (person-to-person, trajectories, in-betweening: Sec. 5.4)."""
 
@@ -53,13 +60,6 @@ def cosine_alphas(steps: int = STEPS) -> NDArray[np.float64]:
     alphas = np.cumprod(1.0 - cosine_betas(steps)).astype(np.float64)
     alphas.setflags(write=False)
     return alphas
-
-
-def noised(clean: Tensor, t: Tensor, noise: Tensor) -> Tensor:
-    """Return ``x_t [B, ...]`` for steps ``t [B]``: a clean motion with its share of noise."""
-    alphas = torch.tensor(cosine_alphas(), dtype=torch.float64, device=clean.device)[t]
-    alphas = alphas.reshape(-1, *[1] * (clean.dim() - 1))
-    return alphas.sqrt().to(clean.dtype) * clean + (1 - alphas).sqrt().to(clean.dtype) * noise
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,21 +112,22 @@ def timesteps(steps: int, spacing: str) -> list[int]:
 
 
 def sample(
-    predict: Predict,
-    noise: Tensor,
+    predict: Predict[Array],
+    noise: Array,
     config: SamplerConfig,
     *,
-    generator: torch.Generator | None = None,
-    constrain: Constrain | None = None,
+    fresh: Callable[[Array], Array] | None = None,
+    constrain: Constrain[Array] | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Tensor:
+) -> Array:
     """Return the clean motion that a noise leads to.
 
     Args:
         predict: The (guided) network.
         noise: ``[B, T, F]``, standard normal.
         config: Solver, steps and spacing.
-        generator: Source of fresh noise, for eta above 0.
+        fresh: Gives standard normal numbers of the shape of what it is given; needed for eta above
+            0.
         constrain: Applied to every prediction, so that what it puts in is exact in the result.
         progress: Called with the share done.
     """
@@ -143,7 +144,7 @@ def sample(
             break
         now, then = float(alphas[step]), float(alphas[visited[index + 1]])
         if config.solver == "ddim":
-            x = _ddim(x, clean, now, then, config.eta, generator)
+            x = _ddim(x, clean, now, then, config.eta, fresh)
         else:
             before = float(alphas[visited[index - 1]]) if index else None
             x = _dpm2m(x, clean, previous, now, then, before)
@@ -152,8 +153,13 @@ def sample(
 
 
 def _ddim(
-    x: Tensor, clean: Tensor, now: float, then: float, eta: float, generator: torch.Generator | None
-) -> Tensor:
+    x: Array,
+    clean: Array,
+    now: float,
+    then: float,
+    eta: float,
+    fresh: Callable[[Array], Array] | None,
+) -> Array:
     """One step of DDIM (Song et al. 2020, eq. 12) from level ``now`` to the cleaner ``then``.
 
     The release keeps ``then`` in single precision. Close to the clean end, where 1 - then is 4e-5,
@@ -161,16 +167,18 @@ def _ddim(
     """
     then = float(np.float32(then))
     noise = (x - math.sqrt(now) * clean) / math.sqrt(1 - now)
-    fresh = eta * math.sqrt((1 - then) / (1 - now) * (1 - now / then))
-    x = math.sqrt(then) * clean + math.sqrt(max(1 - then - fresh * fresh, 0.0)) * noise
-    if fresh:
-        x = x + fresh * torch.randn(x.shape, generator=generator, device=x.device, dtype=x.dtype)
+    share = eta * math.sqrt((1 - then) / (1 - now) * (1 - now / then))
+    x = math.sqrt(then) * clean + math.sqrt(max(1 - then - share * share, 0.0)) * noise
+    if share:
+        if fresh is None:
+            raise ValueError("eta above 0 needs fresh noise")
+        x = x + share * fresh(x)
     return x
 
 
 def _dpm2m(
-    x: Tensor, clean: Tensor, previous: Tensor | None, now: float, then: float, before: float | None
-) -> Tensor:
+    x: Array, clean: Array, previous: Array | None, now: float, then: float, before: float | None
+) -> Array:
     """One step of DPM-Solver++(2M) (Lu et al. 2022, algorithm 2), in half log signal-to-noise."""
 
     def half_snr(alpha: float) -> float:

@@ -19,13 +19,14 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from generator.architecture import FEATURES
-from generator.checkpoint import from_json, read_lightning, text_kind
+from generator.checkpoint import read_lightning, text_kind
 from generator.denoiser import sinusoids
+from generator.model_folder import from_json, require_format
 from generator.release_keys import Shapes, post_norm_shapes
 from generator.text.clip import sentence_end
 from generator.text.clip_tokenizer import CONTEXT, ClipTokenizer, find_vocabulary
 from generator.text.encoder import SentenceEncoder, default_encoder
-from generator.weights import adopt, load_weights, require, require_format, save_weights
+from generator.weights import adopt, load_weights, require, save_weights
 from robots.errors import CheckpointError, SpecError
 
 CONTACTS = 4

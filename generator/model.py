@@ -7,7 +7,6 @@ Everything named *normalised* is features with their mean taken off, divided by 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -19,6 +18,7 @@ from generator.denoiser import MAX_POSITIONS, Denoiser
 from generator.diffusion import STEPS, Constrain, SamplerConfig, sample
 from generator.guidance import Guided
 from generator.precision import matmul_precision
+from generator.provenance import Provenance
 from generator.smoothing import smooth
 from generator.text.encoder import SentenceEncoder
 from robots.errors import CheckpointError, PromptError, SpecError
@@ -27,18 +27,13 @@ if TYPE_CHECKING:
     from generator.motion import DuetMotion
 
 
-@dataclass(frozen=True, slots=True)
-class Provenance:
-    """Where weights come from; travels into every motion made with them."""
+def fresh_noise(generator: torch.Generator | None) -> Callable[[Tensor], Tensor]:
+    """Return what gives noise like a tensor, from a generator (or from torch's global one)."""
 
-    source: str = ""
-    """Name of the model or of its file."""
-    licence: str = ""
-    """Licence that binds its motions; empty if none is known."""
-    fps: float = 30.0
-    """Frames per second of the motions it was trained on."""
-    training: dict[str, Any] = field(default_factory=dict)
-    """Facts of the training run: data, steps, losses. Anything that JSON can hold."""
+    def like(x: Tensor) -> Tensor:
+        return torch.randn(x.shape, generator=generator, device=x.device, dtype=x.dtype)
+
+    return like
 
 
 class InterGen(nn.Module):
@@ -190,7 +185,7 @@ class InterGen(nn.Module):
         guidance_interval: tuple[int, int] = (0, STEPS - 1),
         x_T: Tensor | None = None,
         seed: int | None = None,
-        constrain: Constrain | None = None,
+        constrain: Constrain[Tensor] | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> Tensor:
         """Return drawn motions ``[B, T, 2F]``, normalised.
@@ -224,10 +219,10 @@ class InterGen(nn.Module):
         try:
             with matmul_precision(self.matmul):
                 predict = Guided(self.denoiser, cond.to(self.denoiser.positions.dtype), config)
+                fresh = fresh_noise(generator)
                 return sample(
-                    predict, x_T, config, generator=generator, constrain=constrain,
-                    progress=progress,
-                )  # fmt: skip
+                    predict, x_T, config, fresh=fresh, constrain=constrain, progress=progress
+                )
         finally:
             self.train(was_training)
 

@@ -11,6 +11,7 @@ from bridge.cli.options import (
     add_generator,
     add_intergen,
     add_seed,
+    diffusion_request,
     in_folder,
     intergen_request,
 )
@@ -30,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(args: argparse.Namespace, console: Console) -> int:
     """Generate and say what was understood."""
     out = in_folder(args.out, stages.MOTION)
-    request = intergen_request(args)
+    intergen, diffusion = intergen_request(args), diffusion_request(args)
     with console.stage("generate") as progress:
         facts = stages.generate(
             args.text,
@@ -38,10 +39,11 @@ def execute(args: argparse.Namespace, console: Console) -> int:
             seed=args.seed,
             nearest_known=args.nearest,
             generator=args.generator,
-            intergen=request,
+            intergen=intergen,
+            diffusion=diffusion,
             progress=progress,
         )
-    if request is None:
+    if intergen is None and diffusion is None:
         how = f"{facts['interaction']} ({facts['confidence']:.0%} sure)"
     else:
         how = f"{facts['model']}, {facts['steps']} steps"

@@ -9,6 +9,8 @@ from pathlib import Path
 from bridge.cli.console import Console
 
 INTERRUPTED = 130
+PRECISIONS = ("float16", "float32", "int8")
+"""Of a portable model: :data:`generator.runtime.portable.PRECISIONS`, the default first."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,6 +21,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--resume", action="store_true", help="go on from the folder's last checkpoint, if any"
+    )
+    parser.add_argument(
+        "--portable",
+        type=Path,
+        metavar="DIR",
+        help="when all steps are done, also leave the model so that it runs without torch"
+        " (generate --generator diffusion --weights DIR)",
+    )
+    parser.add_argument(
+        "--precision",
+        choices=PRECISIONS,
+        default=PRECISIONS[0],
+        help="of the portable model: numbers stored in 16 bits (default) or 32, or multiplied in 8",
     )
     parser.add_argument("--threads", type=int, default=1, help="of the processor (default 1)")
     parser.add_argument(
@@ -64,11 +79,21 @@ def execute(args: argparse.Namespace, console: Console) -> int:
         leave(processes)
     if not processes.leads:
         return 0 if outcome.finished else INTERRUPTED
+    made = str(args.portable) if args.portable and outcome.finished else None
+    if made is not None:
+        console.say("writing the portable model")
+        from generator.checkpoint import load
+        from generator.training.portable import write_portable
+
+        frames = run.data.frames
+        write_portable(load(out), made, frames=frames, precision=args.precision)
     console.show(
         f"{out}: {outcome.steps} of {outcome.total} steps in {clock(outcome.seconds)}"
         + ("" if outcome.finished else "; go on with --resume")
     )
-    console.result({"folder": str(out), "finished": outcome.finished, **asdict(outcome)})
+    console.result(
+        {"folder": str(out), "portable": made, "finished": outcome.finished, **asdict(outcome)}
+    )
     return 0 if outcome.finished else INTERRUPTED
 
 

@@ -8,7 +8,7 @@ statistics, and :class:`BatchStream` draws batches from one or several. All of i
 from generator.data.batches import Batch, BatchConfig, BatchStream
 from generator.data.cache import ClipCache, cached
 from generator.data.choreographed import Choreographed
-from generator.data.clip import Clip, ClipSet, ClipSource, clip_of, resampled
+from generator.data.clip import Clip, ClipSet, ClipSource, Symmetric, clip_of, resampled
 from generator.data.duets import DuetFolder
 from generator.data.interhuman import InterHuman
 from generator.data.statistics import FeatureStatistics, measure
@@ -25,6 +25,7 @@ __all__ = [
     "DuetFolder",
     "FeatureStatistics",
     "InterHuman",
+    "Symmetric",
     "cached",
     "clip_of",
     "measure",

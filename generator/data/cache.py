@@ -21,7 +21,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from generator.data.clip import Clip, ClipSource, resampled
+from generator.data.clip import Clip, ClipSource, Symmetric, resampled
 from generator.features import LOCAL_ROTATIONS, POINTS, Poses
 from robots.errors import DuetError, MotionError, MotionFileError
 from robots.files import write_json
@@ -29,7 +29,7 @@ from robots.skeleton import FloatArray
 
 log = logging.getLogger(__name__)
 
-FORMAT = "pasdedeux.clips/1"
+FORMAT = "pasdedeux.clips/2"
 WIDTH = 3 * POINTS + 6 * LOCAL_ROTATIONS + 4
 
 _POSES, _INDEX = "poses.npy", "index.json"
@@ -66,7 +66,7 @@ class ClipCache:
             raise MotionFileError(
                 f"the cache is damaged ({error})", where=where, hint=_HINT
             ) from error
-        ends = [start + frames for _, start, frames, _, _, _ in self._clips]
+        ends = [start + frames for _, start, frames, *_ in self._clips]
         if data.dtype != np.float32 or data.shape != (max(ends, default=0), 2, WIDTH):
             raise MotionFileError(
                 f"{_POSES} is {data.dtype} with shape {data.shape}, which the index contradicts",
@@ -82,12 +82,12 @@ class ClipCache:
     @property
     def lengths(self) -> list[int]:
         """Frames of every clip."""
-        return [frames for _, _, frames, _, _, _ in self._clips]
+        return [frames for _, _, frames, *_ in self._clips]
 
     @property
     def licences(self) -> tuple[str, ...]:
         """The licences of its clips, each once; what is trained on them must carry them."""
-        return tuple(sorted({licence for *_, licence in self._clips if licence}))
+        return tuple(sorted({licence for *_, licence, _ in self._clips if licence}))
 
     def clip(self, index: int) -> Clip:
         """Return a clip.
@@ -95,23 +95,29 @@ class ClipCache:
         Raises:
             MotionFileError: The file holds numbers that are not finite.
         """
-        name, start, frames, labelled, texts, licence = self._clips[index]
+        name, start, frames, labelled, texts, licence, symmetric = self._clips[index]
         block = np.asarray(self._data[start : start + frames], float)
         try:
             a, b = (_unpacked(block[:, i], labelled) for i in range(2))
-            return Clip(name, (a, b), self.fps, texts, licence)
+            return Clip(name, (a, b), self.fps, texts, licence, symmetric)
         except MotionError as error:
             raise MotionFileError(
                 f"clip '{name}': {error.what}", where=str(self.folder), hint=_HINT
             ) from error
 
 
-def _entry(data: dict[str, Any]) -> tuple[str, int, int, bool, tuple[str, ...], str]:
+_Entry = tuple[str, int, int, bool, tuple[str, ...], str, Symmetric | None]
+
+
+def _entry(data: dict[str, Any]) -> _Entry:
     name, start, frames = str(data["name"]), int(data["start"]), int(data["frames"])
     if start < 0 or frames < 2:
         raise ValueError(f"clip '{name}' has {frames} frames from {start}")
     texts = tuple(str(text) for text in data["texts"]) or ("",)
-    return name, start, frames, bool(data["labelled"]), texts, str(data["licence"])
+    symmetric = None
+    if data["symmetric"] is not None:
+        symmetric = Symmetric(*(tuple(map(str, group)) for group in data["symmetric"]))
+    return name, start, frames, bool(data["labelled"]), texts, str(data["licence"]), symmetric
 
 
 def cached(
@@ -178,6 +184,7 @@ def _write(source: ClipSource, folder: Path, fps: float, progress: Progress | No
                     "labelled": labelled,
                     "texts": list(clip.texts),
                     "licence": clip.licence,
+                    "symmetric": clip.symmetric,
                 }
             )
             start += clip.frames

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,17 @@ from generator.features import Poses, from_sixd, poses_of, to_sixd
 from generator.motion import DuetMotion
 from robots.errors import MotionError
 from robots.skeleton import FloatArray
+
+
+class Symmetric(NamedTuple):
+    """Sentences of a clip under its symmetries."""
+
+    mirrored: tuple[str, ...]
+    """As seen in a mirror."""
+    swapped: tuple[str, ...]
+    """With the two people exchanged."""
+    both: tuple[str, ...]
+    """Mirrored and exchanged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,13 +43,16 @@ class Clip:
     """Sentences that all describe it."""
     licence: str = ""
     """Licence of the motion; empty if unknown."""
+    symmetric: Symmetric | None = None
+    """Sentences of the clip as augmentation turns it round, where the source knows them; words are
+    exchanged by rule otherwise."""
 
     def __post_init__(self) -> None:
         """Validate."""
         a, b = self.poses
         if a.frames != b.frames:
             raise MotionError(f"the two have {a.frames} and {b.frames} frames", where=self.name)
-        if not self.texts:
+        if not self.texts or not all(self.symmetric or self.texts[:0]):
             raise MotionError("there is no sentence", where=self.name)
         if not (np.isfinite(self.fps) and 1 <= self.fps <= 1000):
             raise MotionError(f"{self.fps} frames per second", where=self.name)

@@ -85,18 +85,46 @@ class MiniLmEncoder:
         """Return ``[N, 384]`` unit vectors: token vectors averaged, then scaled to length 1."""
         out = np.zeros((len(sentences), self.dimension), dtype=np.float32)
         for row, sentence in enumerate(sentences):
-            tokens = self._tokenizer.encode(sentence)
-            feed = {
-                "input_ids": tokens.ids,
-                "attention_mask": tokens.attention_mask,
-                "token_type_ids": tokens.type_ids,
-            }
-            arrays = {k: np.array([v], np.int64) for k, v in feed.items() if k in self._inputs}
-            states = self._session.run(None, arrays)[0][0]
-            mask = np.array(tokens.attention_mask, dtype=np.float32)[:, None]
+            states, mask = self.states(sentence)
             mean = (states * mask).sum(axis=0) / max(float(mask.sum()), 1.0)
             out[row] = mean / max(float(np.linalg.norm(mean)), 1e-9)
         return out
+
+    def states(self, sentence: str) -> tuple[FloatVectors, FloatVectors]:
+        """Return a vector for each token ``[L, 384]``, and which of them count ``[L, 1]``."""
+        tokens = self._tokenizer.encode(sentence)
+        feed = {
+            "input_ids": tokens.ids,
+            "attention_mask": tokens.attention_mask,
+            "token_type_ids": tokens.type_ids,
+        }
+        arrays = {k: np.array([v], np.int64) for k, v in feed.items() if k in self._inputs}
+        states = self._session.run(None, arrays)[0][0]
+        return states, np.array(tokens.attention_mask, dtype=np.float32)[:, None]
+
+
+class TokenEncoder:
+    """The token vectors of a sentence one after the other, for a network that reads them itself.
+
+    Whoever does what to whom is in the order of the words, of which their mean keeps little.
+    """
+
+    tokens = 40
+    """Tokens of a sentence; what comes after is cut off, what is not there is zeros."""
+
+    def __init__(self, encoder: MiniLmEncoder) -> None:
+        """Take the tokens from this encoder."""
+        self._encoder = encoder
+        self.dimension = self.tokens * encoder.dimension
+
+    def encode(self, sentences: Sequence[str]) -> FloatVectors:
+        """Return ``[N, tokens * 384]``, in numbers that 16 bits hold."""
+        out = np.zeros((len(sentences), self.tokens, self._encoder.dimension), np.float32)
+        for row, sentence in zip(out, sentences, strict=True):
+            states, _ = self._encoder.states(sentence)
+            count = min(len(states), self.tokens)
+            row[:count] = states[:count].astype(np.float16)
+        return out.reshape(len(sentences), -1)
 
 
 def _packaged_model() -> Path:
@@ -109,10 +137,26 @@ def _packaged_model() -> Path:
 
 
 @cache
-def default_encoder() -> SentenceEncoder:
+def default_encoder() -> MiniLmEncoder:
     """Return the encoder that ships, loaded once.
 
     Raises:
         CheckpointError: It is missing or damaged.
     """
     return MiniLmEncoder()
+
+
+def packaged_encoder(kind: str) -> SentenceEncoder | None:
+    """Return the encoder of a kind that ships, or ``None`` if none of this kind does.
+
+    Args:
+        kind: ``minilm``, one vector a sentence; ``minilm-tokens``, one a token.
+
+    Raises:
+        CheckpointError: It is missing or damaged.
+    """
+    if kind == "minilm":
+        return default_encoder()
+    if kind == "minilm-tokens":
+        return TokenEncoder(default_encoder())
+    return None

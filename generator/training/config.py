@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from generator.architecture import DenoiserConfig
+from generator.data.choreographed import SPLITS
 from generator.data.statistics import WIDTHS
 from generator.objective import ObjectiveConfig
 from generator.training.toml import build, read_toml, write_toml
@@ -16,13 +17,16 @@ from robots.errors import SpecError
 Freeze = Literal["none", "person", "trajectory", "ends", "mixed"]
 
 _DERIVED = {
-    "model": ("features", "text_width"),
+    "model": ("features", "text_width", "text_tokens"),
     "objective": ("representation", "steps"),
 }
 """What follows from other settings: the representation, the text encoder, the diffusion."""
 
 _ADJUSTABLE = {"name", "checkpoint", "log"}
 """Tables that may change between two parts of one run."""
+
+
+_SPLITS = {"interhuman": ("train", "val", "test"), "choreographed": SPLITS}
 
 
 def _require(where: str, value: float, low: float, high: float = math.inf) -> None:
@@ -35,16 +39,17 @@ def _require(where: str, value: float, low: float, high: float = math.inf) -> No
 class TextConfig:
     """What turns sentences into condition vectors; always frozen."""
 
-    encoder: Literal["minilm", "clip", "causal", "initial"] = "minilm"
-    """``minilm`` ships with the project; ``clip`` is CLIP's text tower and ``causal`` a language
-    model (the LLaMA row of Table 3), both from a local folder; ``initial`` is the one of the model
-    that training starts from."""
+    encoder: Literal["minilm", "minilm-tokens", "clip", "causal", "initial"] = "minilm"
+    """``minilm`` ships with the project, and so does ``minilm-tokens``, which gives every token for
+    the network to read (``model.text_layers``); ``clip`` is CLIP's text tower and ``causal`` a
+    language model (the LLaMA row of Table 3), both from a local folder; ``initial`` is the one of
+    the model that training starts from."""
     folder: str = ""
     """Where the weights of ``clip`` or ``causal`` lie."""
 
     def __post_init__(self) -> None:
         """Validate."""
-        if (self.encoder in ("minilm", "initial")) == bool(self.folder):
+        if (self.encoder in ("minilm", "minilm-tokens", "initial")) == bool(self.folder):
             needs = "no folder" if self.folder else "a folder"
             raise SpecError(f"'{self.encoder}' takes {needs}", where="folder")
 
@@ -61,8 +66,9 @@ class SourceConfig:
     """The dataset on the user's disk, a folder of motion files, or the choreographer."""
     root: str = ""
     """Folder of ``interhuman`` or ``duets``."""
-    split: Literal["train", "val", "test"] = "train"
-    """Which part of ``interhuman``."""
+    split: Literal["train", "val", "test", "sentences", "combinations"] = "train"
+    """Which part of ``interhuman``, or of what is ``choreographed``
+    (:data:`generator.data.choreographed.SPLITS`)."""
     count: int = 2000
     """Clips of ``choreographed``."""
     seed: int = 0
@@ -75,6 +81,11 @@ class SourceConfig:
         if (self.kind == "choreographed") == bool(self.root):
             raise SpecError(
                 f"'{self.kind}' takes {'no' if self.root else 'a'} folder", where="root"
+            )
+        allowed = _SPLITS.get(self.kind, ("train",))
+        if self.split not in allowed:
+            raise SpecError(
+                f"'{self.kind}' has no '{self.split}'", where="split", allowed=", ".join(allowed)
             )
         _require("count", self.count, 1)
         _require("seed", self.seed, 0)
@@ -104,8 +115,13 @@ class DataConfig:
     """Mirror half of the samples."""
     swap: bool = True
     """Exchange the two people in half of the samples."""
+    frame: Literal["either", "first"] = "either"
+    """On whom the frame is put if people are exchanged: on either at random, or on the first, as
+    the motions that are drawn afterwards have it."""
     pad: Literal["full", "longest"] = "longest"
     """Pad batches to ``frames``, or to their longest clip."""
+    bucket: int = 1
+    """Batches among which samples are dealt out by length, so that less is padded."""
     release_compat: bool = False
     """Prepare samples as the public release does."""
     workers: int = 0
@@ -120,6 +136,7 @@ class DataConfig:
         _require("fps", self.fps, 1, 1000)
         _require("frames", self.frames, 2)
         _require("shortest", self.shortest, 2)
+        _require("bucket", self.bucket, 1, 1000)
         _require("workers", self.workers, 0, 256)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from generator.diffusion import STEPS
+from generator.diffusion import STEPS, cosine_alphas
 from generator.training.config import TrainingConfig
 from generator.training.freezing import frozen
 
@@ -68,6 +68,13 @@ def draw(
         torch.from_numpy(keep),
         torch.from_numpy(np.stack(masks)) if masks else None,
     )
+
+
+def noised(clean: Tensor, t: Tensor, noise: Tensor) -> Tensor:
+    """Return ``x_t [B, ...]`` for steps ``t [B]``: a clean motion with its share of noise."""
+    alphas = torch.tensor(cosine_alphas(), dtype=torch.float64, device=clean.device)[t]
+    alphas = alphas.reshape(-1, *[1] * (clean.dim() - 1))
+    return alphas.sqrt().to(clean.dtype) * clean + (1 - alphas).sqrt().to(clean.dtype) * noise
 
 
 def seed_dropout(seed: int, step: int, rank: int) -> None:

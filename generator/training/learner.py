@@ -10,12 +10,11 @@ import torch
 from torch import Tensor, nn
 
 from generator.data import Batch
-from generator.diffusion import noised
 from generator.losses import Losses, interaction_losses, release_losses
 from generator.model import InterGen
 from generator.schedule import warmup_cosine
 from generator.training.config import RunConfig
-from generator.training.draws import Draws, draw, seed_dropout
+from generator.training.draws import Draws, draw, noised, seed_dropout
 from generator.training.processes import Processes
 from generator.training.texts import TextTable
 from robots.errors import CheckpointError, DuetError

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
 from generator import checkpoint
 from generator.applications import FREEZE
@@ -20,7 +21,10 @@ from generator.data import (
     cached,
     measure,
 )
-from generator.model import InterGen, Provenance
+from generator.data.choreographed import Split
+from generator.model import InterGen
+from generator.provenance import Provenance
+from generator.text.encoder import TokenEncoder
 from generator.training.config import DataConfig, RunConfig, SourceConfig
 from generator.training.draws import seed_weights
 from generator.training.processes import Processes
@@ -80,7 +84,8 @@ def prepare(
         processes.wait()
         found = FeatureStatistics.load(out / STATISTICS)
         mean_std = (found.mean.copy(), found.std.copy())
-    config = replace(run.model, text_width=text_width(encoder))
+    tokens = encoder.tokens if isinstance(encoder, TokenEncoder) else 0
+    config = replace(run.model, text_width=text_width(encoder), text_tokens=tokens)
     seed_weights(run.training.seed)
     model = InterGen(
         config,
@@ -105,7 +110,7 @@ def make_source(config: SourceConfig) -> ClipSource:
         return InterHuman(config.root, config.split)
     if config.kind == "duets":
         return DuetFolder(config.root)
-    return Choreographed(config.count, seed=config.seed)
+    return Choreographed(config.count, seed=config.seed, split=cast(Split, config.split))
 
 
 def shared_caches(
@@ -142,7 +147,9 @@ def make_stream(run: RunConfig, caches: list[tuple[ClipCache, float]]) -> BatchS
         shortest=data.shortest,
         mirror=data.mirror,
         swap=data.swap,
+        frame=data.frame,
         pad=data.pad,
+        bucket=data.bucket,
         representation=run.model.representation,
         release_compat=data.release_compat,
         seed=run.training.seed,
@@ -197,6 +204,7 @@ def _provenance(run: RunConfig, caches: list[ClipCache], initial: InterGen | Non
     facts = {
         "data": [cache.name for cache in caches],
         "text": run.text.encoder,
+        "frames": run.data.frames,
         FREEZE: run.training.freeze,
     }
     return Provenance(

@@ -27,12 +27,13 @@ from torch.utils.data import DataLoader, Dataset
 
 from generator import checkpoint
 from generator.data import Batch, BatchStream
+from generator.model_folder import HEADER
 from generator.training.config import RunConfig, changed_keys, parse
 from generator.training.learner import Learner
 from generator.training.prepare import Prepared, prepare
 from generator.training.processes import Processes
 from generator.training.record import Record
-from generator.weights import HEADER, load_weights, save_weights
+from generator.weights import load_weights, save_weights
 from robots.errors import CheckpointError, DuetError
 from robots.files import whole_file
 

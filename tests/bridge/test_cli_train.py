@@ -228,6 +228,29 @@ def test_a_sentence_becomes_a_motion(trained: Path, tmp_path: Path, capsys) -> N
     assert np.array_equal(again["keypoints"], made["keypoints"])
 
 
+def test_a_finished_run_leaves_a_model_that_runs_without_torch(
+    clips: Path, trained: Path, tmp_path: Path, capsys
+) -> None:
+    portable, out = tmp_path / "portable", tmp_path / "m.npz"
+    again = ["train", clips / "run.toml", "-o", trained, "--resume", "--portable", portable]
+    assert main([*map(str, again), "--precision", "int8", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["portable"] == str(portable)
+    request = ["generate", "they bow", "--generator", "diffusion", "--weights", portable]
+    assert main([*map(str, request), "-o", str(out), "--steps", "2", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert (facts["generator"], facts["model"], facts["steps"]) == ("diffusion", "test", 2)
+    assert facts["frames"] == 12, "longer than what was learnt"
+    assert read_motion(out).source == "test"
+    for wrong, said in (
+        (["--given", str(out)], "--given"),
+        (["--then", "they wave"], "--then"),
+        (["--seconds", "9"], "12"),
+        (["--weights", str(trained)], "--portable"),
+    ):
+        assert main([*map(str, request), "-o", str(out), *wrong]) == 2
+        assert said in capsys.readouterr().err
+
+
 def test_the_applications_keep_what_is_given(clips: Path, trained: Path, tmp_path: Path) -> None:
     source = clips / "duets" / "wave.npz"
     given = read_motion(source).keypoints

@@ -25,9 +25,10 @@ from generator.given import (
 )
 from generator.intergen import IntergenRequest, frames_of, generate, given_of, sampler_of
 from generator.io import write_motion
-from generator.model import InterGen, Provenance
+from generator.model import InterGen
 from generator.motion import DuetMotion
 from generator.paths import read_part, read_track
+from generator.provenance import Provenance
 from robots.errors import CheckpointError, MotionError, MotionFileError, PromptError, SpecError
 
 FPS = 30.0

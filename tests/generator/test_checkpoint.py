@@ -15,7 +15,8 @@ import torch
 from generator import checkpoint, weights
 from generator.architecture import DenoiserConfig
 from generator.checkpoint import load, load_release, save
-from generator.model import InterGen, Provenance
+from generator.model import InterGen
+from generator.provenance import Provenance
 from generator.release_keys import DUPLICATE, TABLES, denoiser_shapes, text_shapes
 from generator.text.clip import ClipConfig, ClipTextTower
 from generator.text.release_text import ReleaseText, ReleaseTextHead
@@ -96,7 +97,9 @@ def test_a_loaded_release_gives_the_same_as_its_tensors_by_name(tiny: Path):
     emb = torch.nn.functional.silu(time + linear(cond, "text_embed"))
     names = ["sa_block.norm", "ffn.norm", "ca_block.norm", "ca_block.xf_norm"]
     expected = [linear(emb, f"blocks.1.{name}.emb_layers.1") for name in names]
-    torch.testing.assert_close(denoiser.modulations(t, cond)[0, 1], torch.cat(expected, dim=-1))
+    torch.testing.assert_close(
+        denoiser.modulations(t, denoiser.read(cond))[0, 1], torch.cat(expected, dim=-1)
+    )
     packed = state["model.decoder.net.blocks.1.ca_block.attention.in_proj_weight"]
     attention = denoiser.networks[0].blocks[1].mutual_attention
     assert torch.equal(attention.query.weight, packed[:16])

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import logging
 import pickle
+import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from generator.data import (
     BatchConfig,
@@ -19,8 +23,18 @@ from generator.data import (
     clip_of,
     resampled,
 )
+from generator.data.choreographed import (
+    SPLITS,
+    TOLD,
+    clauses_of,
+    drawn_style,
+    symmetries,
+    unseen_manner,
+)
 from generator.features import encode, pair_features, release_features
 from generator.io import write_motion
+from generator.text.grammar import NOTABLE, ORDINARY, entry_of
+from generator.text.manner import manner_of
 from robots.errors import DuetError, MotionError, MotionFileError, PromptError, SpecError
 from robots.files import write_archive
 
@@ -210,6 +224,7 @@ def test_fingerprints_change_with_the_content(dataset, make_duet, tmp_path):
     ten, other = Choreographed(10, seed=0), Choreographed(10, seed=1)
     assert ten.fingerprint != other.fingerprint
     assert ten.fingerprint == Choreographed(10, seed=0).fingerprint
+    assert ten.fingerprint != Choreographed(10, seed=0, split="test").fingerprint
 
 
 def test_the_choreographer_s_clips_are_functions_of_seed_and_number():
@@ -226,16 +241,73 @@ def test_the_choreographer_s_clips_are_functions_of_seed_and_number():
         clips.clip(4)
 
 
-def test_the_choreographer_s_sentences_say_what_happens():
-    from generator.data.choreographed import MANNERS
-    from generator.text.manner import manner_of
+@pytest.mark.parametrize("name", ["hug", "waltz", "push"])
+def test_what_is_held_out_is_not_trained_on(name):
+    known, unseen = (set(clauses_of(name, unseen=held)) for held in (False, True))
+    assert known
+    assert unseen
+    assert not known & unseen
+    assert known | unseen == set(entry_of(name).clauses)
+    for clauses in (known, unseen):
+        assert {clause.voice for clause in clauses} - {"together"}, "nobody can be said to lead"
 
-    ordinary = manner_of("they bow")
-    assert all(manner_of(f"they bow, {word}") != ordinary for word in MANNERS)
-    clips = Choreographed(40, seed=0, interactions=("push",))
-    rng_texts = {clips._sentence("push", np.random.default_rng(i)) for i in range(40)}
-    assert len(rng_texts) > 15
-    assert any(text.endswith(MANNERS) for text in rng_texts)
+
+@given(st.integers(0, 2**32), st.sampled_from(SPLITS))
+@settings(max_examples=60, deadline=None)
+def test_a_combination_that_is_held_out_is_never_drawn_for_training(seed, split):
+    manner = unseen_manner("hug")
+    style = drawn_style("hug", split, np.random.default_rng(seed))
+    away = getattr(style, manner.field) - ORDINARY[manner.field]
+    there = abs(away) >= NOTABLE[manner.field] and (away < 0) == (manner.direction == "low")
+    assert there == (split == "combinations")
+    remarkable = [n for n in ORDINARY if abs(getattr(style, n) - ORDINARY[n]) >= NOTABLE[n]]
+    assert len(remarkable) <= 2, "more than a sentence says"
+
+
+def test_every_symmetry_of_a_clip_has_sentences_of_its_own():
+    clips = Choreographed(6, seed=4, interactions=("wave",))
+    heard = {"left": [0, 0], "leads": [0, 0]}
+    for index in range(6):
+        clip = clips.clip(index)
+        _, style, _ = clips._performed(index)
+        assert clip.symmetric is not None
+        for texts, turned in zip((clip.texts, *clip.symmetric), symmetries(style), strict=True):
+            assert len(texts) == TOLD
+            for text in texts:
+                read = manner_of(text)
+                heard["leads"][read.swap == turned.swap] += 1
+                heard["left"][("left" in text.lower()) <= (turned.handedness == "left")] += 1
+    assert heard["left"][0] == 0, "a left hand is said that the motion does not have"
+    assert heard["leads"][1] > 0.95 * sum(heard["leads"])
+
+
+def test_sentences_follow_the_wording_of_their_split():
+    for split in ("train", "sentences"):
+        clips = Choreographed(4, seed=1, split=split, interactions=("wave",))
+        wordings = [c.words for c in clauses_of("wave", unseen=split == "sentences")]
+        parts = [re.split(r"\{\w+\}", words) for words in wordings]
+        for index in range(4):
+            text = clips.clip(index).texts[0]
+            assert any(all(part.strip() in text for part in words) for words in parts), text
+
+
+def test_spoilt_performances_are_thrown_away(monkeypatch):
+    import generator.choreographer as choreographer
+
+    seen = []
+
+    def examine(motion):
+        seen.append(motion)
+        return SimpleNamespace(faults=("reach",) if len(seen) < 3 else ())
+
+    monkeypatch.setattr(choreographer, "examine", examine)
+    motion = Choreographed(1, interactions=("bow",)).motion(0)
+    assert len(seen) == 3
+    np.testing.assert_array_equal(motion.keypoints, seen[2].keypoints)
+    seen.clear()
+    monkeypatch.setattr(choreographer, "examine", lambda _: SimpleNamespace(faults=("reach",)))
+    with pytest.raises(MotionError, match="bow"):
+        Choreographed(1, interactions=("bow",)).clip(0)
 
 
 def test_unknown_interactions_and_empty_sets_are_refused():
@@ -243,6 +315,8 @@ def test_unknown_interactions_and_empty_sets_are_refused():
         Choreographed(3, interactions=("handshak",))
     with pytest.raises(SpecError, match="count"):
         Choreographed(0)
+    with pytest.raises(SpecError, match="split"):
+        Choreographed(1, split="trian")  # type: ignore[arg-type]
 
 
 def test_halving_the_frame_rate_picks_frames(make_duet):

@@ -48,7 +48,8 @@ def close(actual: torch.Tensor, expected: torch.Tensor) -> None:
 def test_time_and_text_embedding_is_at_parity(released, vectors):
     net = released.networks[0]
     close(
-        net.condition(released.positions[vectors["t"]], vectors["cond"]), vectors["time_text_emb"]
+        net.embed_time(released.positions[vectors["t"]]) + net.embed_text(vectors["cond"]),
+        vectors["time_text_emb"],
     )
 
 
@@ -61,20 +62,20 @@ def test_embedded_motion_is_at_parity(released, vectors):
 @torch.no_grad()
 def test_first_block_is_at_parity_layer_by_layer(released, vectors):
     block = released.networks[0].blocks[0]
-    modulation = released.modulations(vectors["t"], vectors["cond"])[0, 0]
+    modulation = released.modulations(vectors["t"], released.read(vectors["cond"]))[0, 0]
     parts = modulation[:, None].chunk(8, dim=-1)
     people = torch.stack(vectors["x"].chunk(2, dim=-1))
     hidden = released.networks[0].embed_motion(people) + released.positions[:48]
     keep = torch.nn.functional.pad(vectors["mask"][..., 0] > 0.5, (0, 1), value=True)
     keep = keep[None, :, None, None].expand(2, -1, -1, -1, -1)
 
-    own = adaptive_norm(hidden, *parts[0:2])
+    own = adaptive_norm(hidden, *parts[0:2], width=block.width)
     attended = block.self_attention(own, None, keep)
     close(attended[0], vectors["block0_sa_a"])
 
     inner = hidden + attended
-    queries = adaptive_norm(inner, *parts[4:6])
-    context = adaptive_norm(hidden.flip(0), *parts[6:8])
+    queries = adaptive_norm(inner, *parts[4:6], width=block.width)
+    context = adaptive_norm(hidden.flip(0), *parts[6:8], width=block.width)
     close(block.mutual_attention(queries, context, keep)[0], vectors["block0_ca_a"])
 
     out = block(hidden, hidden.flip(0), modulation, keep)

@@ -18,14 +18,14 @@ from generator.diffusion import (
     SamplerConfig,
     cosine_alphas,
     cosine_betas,
-    noised,
     sample,
     timesteps,
 )
 from generator.guidance import Guided
-from generator.model import InterGen
+from generator.model import InterGen, fresh_noise
 from generator.schedule import warmup_cosine
 from generator.smoothing import smooth
+from generator.training.draws import noised
 from robots.errors import SpecError
 
 torch.set_num_threads(1)
@@ -226,7 +226,7 @@ def test_fresh_noise_keeps_the_variance(eta):
         states[step] = x
         return predict(x, step)
 
-    sample(remember, noise, config, generator=generator)
+    sample(remember, noise, config, fresh=fresh_noise(generator))
     for step in (499, 99, 9):  # of 999, 997, ... 1
         alpha = cosine_alphas()[step]
         assert float(states[step].var()) == pytest.approx(alpha * 0.64 + 1 - alpha, rel=0.04)
@@ -236,7 +236,8 @@ def test_fresh_noise_comes_from_the_given_generator():
     def draw(seed: int) -> torch.Tensor:
         config = SamplerConfig(steps=5, eta=1.0, guidance=1)
         generator = torch.Generator().manual_seed(seed)
-        return sample(lambda x, step: 0.3 * x, torch.ones(1, 4, 1), config, generator=generator)
+        fresh = fresh_noise(generator)
+        return sample(lambda x, step: 0.3 * x, torch.ones(1, 4, 1), config, fresh=fresh)
 
     assert torch.equal(draw(1), draw(1))
     assert not torch.equal(draw(1), draw(2))

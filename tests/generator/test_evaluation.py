@@ -19,7 +19,8 @@ from generator.evaluation import MODEL, REAL, EvaluationConfig, Watch, evaluate
 from generator.evaluator import EvaluatorConfig, InterClip
 from generator.io import write_motion
 from generator.metrics import PAPER, RELEASE, Protocol
-from generator.model import InterGen, Provenance
+from generator.model import InterGen
+from generator.provenance import Provenance
 from generator.scores import SCALES, figures, spread_figures, summarise
 from generator.training.config import parse
 from generator.training.contrastive import ContrastiveConfig, fold, same_texts, train_evaluator

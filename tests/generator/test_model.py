@@ -11,7 +11,8 @@ from generator.canonical import to_canonical
 from generator.diffusion import SamplerConfig, timesteps
 from generator.features import encode
 from generator.guidance import Guided
-from generator.model import InterGen, Provenance
+from generator.model import InterGen
+from generator.provenance import Provenance
 from robots.errors import CheckpointError, PromptError, SpecError
 
 torch.set_num_threads(1)

@@ -32,6 +32,7 @@ def shrunk(name: str, folder: Path, steps: int) -> RunConfig:
     tables["data"] |= {
         "cache": str(folder / "cache"),
         "frames": 16,
+        "fps": 30.0,
         "source": [{"kind": "duets", "root": str(folder / "duets")}],
     }
     training = {"batch": 2, "steps": steps, "warmup_steps": 1, "initial": ""}

@@ -1,0 +1,98 @@
+"""The denoiser as an ONNX network, and classifier-free guidance around it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from generator.diffusion import SamplerConfig
+from robots.errors import CheckpointError
+
+Floats = NDArray[np.float32]
+
+INPUTS = ("x", "t", "cond")
+OUTPUT = "clean"
+INSTALL = "pip install onnxruntime"
+
+
+class Network:
+    """Predicts the clean motion of two people from a noisy one, on onnxruntime."""
+
+    def __init__(self, path: str | Path, *, threads: int = 1) -> None:
+        """Load the network.
+
+        Args:
+            path: The ONNX file.
+            threads: Most threads of one product of matrices.
+
+        Raises:
+            CheckpointError: The file is missing, damaged or another network, or onnxruntime is not
+                installed.
+        """
+        try:
+            import onnxruntime
+        except ImportError as error:
+            raise CheckpointError(
+                f"the network needs the package '{error.name}'", hint=INSTALL
+            ) from error
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
+        options.log_severity_level = 3
+        # Threads that wait by turning round and round take the time of whoever else wants to run.
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        try:
+            self._session: Any = onnxruntime.InferenceSession(
+                str(path), options, providers=["CPUExecutionProvider"]
+            )
+        except Exception as error:  # onnxruntime raises its own kinds, none of them public
+            raise CheckpointError(f"cannot be read: {error}", where=str(path)) from error
+        names = tuple(node.name for node in self._session.get_inputs())
+        if set(names) != set(INPUTS) or self._session.get_outputs()[0].name != OUTPUT:
+            raise CheckpointError(
+                f"the network takes {', '.join(names)}", where=str(path), allowed=", ".join(INPUTS)
+            )
+
+    def __call__(self, x: Floats, t: NDArray[np.int64], cond: Floats) -> Floats:
+        """Return the predicted clean motion ``[B, T, 2F]``, normalised.
+
+        Args:
+            x: ``[B, T, 2F]`` noisy motion, normalised: person a's F features, then b's.
+            t: ``[B]`` diffusion step, 0 (clean) to 999.
+            cond: ``[B, C]`` text vectors; zeros for the unconditional branch.
+        """
+        feed = dict(zip(INPUTS, (x, t, cond), strict=True))
+        return self._session.run([OUTPUT], feed)[0]
+
+
+class GuidedNetwork:
+    """A network that knows its texts: predicts ``[B, T, 2F]`` from ``x_t`` and the step t.
+
+    The same as :class:`generator.guidance.Guided`: guidance acts on x0, both branches go through
+    the network as one batch, and outside the interval, and at weight 1, only the one with the text
+    does.
+    """
+
+    def __init__(self, network: Network, cond: Floats, config: SamplerConfig) -> None:
+        """Prepare.
+
+        Args:
+            network: The network.
+            cond: ``[B, C]``, one text vector per motion.
+            config: Guidance and its interval.
+        """
+        self._network, self._config, self._cond = network, config, cond
+        self._both = np.concatenate([cond, np.zeros_like(cond)])
+
+    def __call__(self, x: Floats, step: int) -> Floats:
+        """Return the predicted clean motion ``[B, T, 2F]``."""
+        low, high = self._config.guidance_interval
+        if self._config.guidance == 1 or not low <= step <= high:
+            return self._network(x, np.full(len(x), step), self._cond)
+        t = np.full(2 * len(x), step)
+        predicted = self._network(np.concatenate([x, x]), t, self._both)
+        with_text, without = np.split(predicted, 2)
+        guided = without + self._config.guidance * (with_text - without)
+        return guided.astype(np.float32, copy=False)
