@@ -168,7 +168,10 @@ def _place(
         if len(beside) == 1 and stance.flat[beside[0]]:
             stand = goal[beside[0]] - bone[beside[0]]
             if np.linalg.norm(ankle[at] - stand, axis=1).max() <= most:
-                goal[at], down[at] = stand + bone[at], True
+                # A foot that stands on its heel has its ball up; else the heel is not what stands.
+                up = stand[2] + bone[at, 2] >= rest
+                goal[at][up] = stand + bone[at][up]
+                down[at] = up
     return _Place(down, goal, turn, glides)
 
 

@@ -42,6 +42,8 @@ _MEDIAN = 5
 """Frames of the median that drops single wrong labels."""
 _HEEL = 0.018
 """How much higher above the ball than in a flat foot an ankle may be whose heel stands, m."""
+_HEEL_LABELLED = 0.05
+"""The same where a label says that it stands."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,10 +74,8 @@ def find_stances(figure: Figure, fps: float, labels: NDArray | None) -> tuple[St
     smooth = gaussian_filter1d(paths, _LOOK * fps, axis=0, mode="nearest")
     speed = np.linalg.norm(np.gradient(smooth, axis=0), axis=-1) * fps
     said = _usable(labels, speed)
-    factor, low = np.ones(speed.shape), np.full(speed.shape, _LOW)
-    if said is not None:
-        factor = np.where(said, _LABELLED, _DENIED)
-        low = np.where(said, _LOW_LABELLED, _LOW)
+    factor = np.where(said, _LABELLED, _DENIED if said.any() else 1.0)
+    low = np.where(said, _LOW_LABELLED, _LOW)
     balls = smooth[:, (1, 3), 2]
     floor = minimum_filter1d(balls.min(axis=1), 2 * round(_AROUND * fps) + 1, mode="nearest")
     still = [
@@ -84,6 +84,7 @@ def find_stances(figure: Figure, fps: float, labels: NDArray | None) -> tuple[St
             smooth[:, toe],
             speed[:, toe],
             factor[:, toe],
+            said[:, toe],
             fps,
         )
         for i, toe in enumerate((1, 3))
@@ -93,25 +94,32 @@ def find_stances(figure: Figure, fps: float, labels: NDArray | None) -> tuple[St
     found = []
     for i, heel in enumerate((0, 2)):
         over = smooth[:, heel, 2] - floor - flat_rise
-        may = (over < _HEEL + low[:, heel] - _LOW) & (rise[:, i] < flat_rise + _HEEL)
+        tilt = np.where(said[:, heel], _HEEL_LABELLED, _HEEL)
+        may = (over < low[:, heel]) & (rise[:, i] < flat_rise + tilt)
         sure = np.minimum(factor[:, heel], _LABELLED_HEEL)
-        heels = _spells(may, smooth[:, heel], speed[:, heel], sure, fps)
+        heels = _spells(may, smooth[:, heel], speed[:, heel], sure, said[:, heel], fps)
         found.append(Stance(still[i], heels))
     return found[0], found[1]
 
 
-def _usable(labels: NDArray | None, speed: NDArray) -> NDArray[np.bool_] | None:
-    """Return labels ``[T, 4]`` without single outliers, if they tell slow feet from fast ones."""
+def _usable(labels: NDArray | None, speed: NDArray) -> NDArray[np.bool_]:
+    """Return labels ``[T, 4]`` without single outliers; none if they do not tell slow from fast."""
+    none = np.zeros(speed.shape, dtype=bool)
     if labels is None:
-        return None
+        return none
     said = median_filter(np.asarray(labels, dtype=np.uint8), (_MEDIAN, 1), mode="nearest") > 0
     if said.all() or not said.any():
-        return None
-    return said if np.median(speed[said]) < np.median(speed[~said]) else None
+        return none
+    return said if np.median(speed[said]) < np.median(speed[~said]) else none
 
 
 def _spells(
-    may: NDArray[np.bool_], path: NDArray, speed: NDArray, factor: NDArray, fps: float
+    may: NDArray[np.bool_],
+    path: NDArray,
+    speed: NDArray,
+    factor: NDArray,
+    said: NDArray[np.bool_],
+    fps: float,
 ) -> NDArray[np.bool_]:
     """Return the long enough runs of slow moments ``[T]`` that have a still one in them."""
     out = np.zeros(len(may), dtype=bool)
@@ -121,20 +129,21 @@ def _spells(
         if run.stop - run.start < _SHORTEST * fps or (speed[run] / factor[run]).min() >= _STILL:
             continue
         away = np.linalg.norm(path[run] - np.median(path[run], axis=0), axis=1)
-        fast = run.start + int(np.argmax(speed[run]))
-        if away.max() > _GLIDE and speed[fast] > _STILL:
-            waiting += _without(run, fast, speed)
+        # A slide that is labelled as a stance is no hidden step.
+        quick = np.where(said[run], 0.0, speed[run])
+        if away.max() > _GLIDE and quick.max() > _STILL:
+            waiting += _without(run, quick)
         else:
             out[run] = True
     return out
 
 
-def _without(run: slice, fast: int, speed: NDArray) -> list[slice]:
+def _without(run: slice, quick: NDArray) -> list[slice]:
     """Return what is left of a run without the quick moments around its fastest."""
-    quick = np.flatnonzero(speed[run] < _STILL) + run.start
-    before, after = quick[quick < fast], quick[quick > fast]
-    left = [slice(run.start, int(before[-1]) + 1)] if len(before) else []
-    return left + ([slice(int(after[0]), run.stop)] if len(after) else [])
+    fast, slow = int(np.argmax(quick)), np.flatnonzero(quick < _STILL)
+    before, after = slow[slow < fast], slow[slow > fast]
+    left = [slice(run.start, run.start + int(before[-1]) + 1)] if len(before) else []
+    return left + ([slice(run.start + int(after[0]), run.stop)] if len(after) else [])
 
 
 def _flat_rise(rise: FloatArray, standing: NDArray[np.bool_]) -> float:
