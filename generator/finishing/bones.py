@@ -15,9 +15,6 @@ pelvis, neck and collars from the chest), whose angles belong to the body. With 
 which molecular dynamics knows as SHAKE (Ryckaert et al. 1977) with the matrix inverted. Steps
 converge quadratically; whole clips are solved at once, 27 unknowns per frame. Hands and feet so get
 their share of the correction and no more.
-
-Example: forearm 3 cm too long, upper arm 1 cm too short: the wrist comes back by 1.6 cm, the elbow
-moves by 0.8 cm; turning from the outside in would have moved the wrist by 2 cm.
 """
 
 from __future__ import annotations

@@ -13,8 +13,8 @@ that band. Noise is measured by the fourth difference, which takes out what is s
 frames; the median over time does not mind the few frames in which people really jerk. All filters
 are symmetric, so nothing moves in time.
 
-Example: jitter of 5 mm on a still hand goes to below 1 mm; where the hand strikes, its fastest band
-carries (10 cm)^2, the gain is .99 and the strike stays.
+Example: of 5 mm of jitter per frame on a slow wave at 15 frames per second, 2.6 mm of slow wander
+remain and 1 % of the third difference, which is jerk.
 """
 
 from __future__ import annotations
