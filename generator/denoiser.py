@@ -45,6 +45,19 @@ def adaptive_norm(hidden: Tensor, scale: Tensor, shift: Tensor, *, width: int) -
     return torch.addcmul(shift, normed, 1 + scale)
 
 
+def attend(q: Tensor, k: Tensor, v: Tensor, keep: Tensor | None, dropout: float) -> Tensor:
+    """Return what ``scaled_dot_product_attention`` does, written out.
+
+    The library's gradient in bfloat16 takes a CPU eight times as long as that of these four lines
+    (two people, 32 clips of 100 frames, 8 heads of 32: 356 against 47 ms).
+    """
+    scores = (q * q.shape[-1] ** -0.5) @ k.transpose(-1, -2)
+    if keep is not None:
+        scores = scores.masked_fill(~keep, -math.inf)
+    weights = scores.softmax(-1).to(v.dtype)
+    return functional.dropout(weights, dropout) @ v
+
+
 class Attention(nn.Module):
     """Multi-head attention (eq. 9) with one added empty key: attending to nothing is allowed.
 
@@ -88,13 +101,13 @@ class Attention(nn.Module):
         else:
             q, keys_values = self.query(queries), self.key_value(context).chunk(2, dim=-1)
         k, v = (functional.pad(self._split(part), (0, 0, 0, 1)) for part in keys_values)
-        mixed = functional.scaled_dot_product_attention(
-            self._split(q).flatten(0, -4),
-            k.flatten(0, -4),
-            v.flatten(0, -4),
-            attn_mask=None if keep is None else keep.flatten(0, -4),
-            dropout_p=self.dropout if self.training else 0.0,
-        )
+        q, k, v = (part.flatten(0, -4) for part in (self._split(q), k, v))
+        keep = None if keep is None else keep.flatten(0, -4)
+        dropout = self.dropout if self.training else 0.0
+        if q.dtype == torch.bfloat16 and q.device.type == "cpu" and torch.is_grad_enabled():
+            mixed = attend(q, k, v, keep, dropout)
+        else:
+            mixed = functional.scaled_dot_product_attention(q, k, v, keep, dropout)
         people, _, *rest = queries.shape  # -1: a trace would take the number of motions for fixed
         return self.out(mixed.transpose(1, 2).reshape(people, -1, *rest))
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from generator.architecture import DenoiserConfig
 from generator.checkpoint import load_release
-from generator.denoiser import MAX_POSITIONS, Denoiser, adaptive_norm, sinusoids
+from generator.denoiser import MAX_POSITIONS, Denoiser, adaptive_norm, attend, sinusoids
 from robots.errors import SpecError
 
 torch.set_num_threads(1)
@@ -194,3 +194,41 @@ def test_an_untrained_denoiser_predicts_zero_and_learns_everywhere():
 def test_an_impossible_architecture_is_refused(change):
     with pytest.raises(SpecError):
         DenoiserConfig(**change)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_attention_written_out_is_the_library_s(masked):
+    torch.manual_seed(0)
+    q, k, v = (torch.randn(6, 2, n, 8, requires_grad=True) for n in (5, 6, 6))
+    keep = (torch.rand(6, 1, 1, 6) < 0.6) if masked else None
+    if keep is not None:
+        keep[..., -1] = True
+    found, expected = (
+        attend(q, k, v, keep, 0.0),
+        torch.nn.functional.scaled_dot_product_attention(q, k, v, keep),
+    )
+    torch.testing.assert_close(found, expected)
+    weight = torch.randn_like(found)
+    gradients = [torch.autograd.grad((out * weight).sum(), (q, k, v)) for out in (found, expected)]
+    torch.testing.assert_close(*gradients)
+
+
+def test_training_in_bfloat16_has_the_gradient_of_float32():
+    torch.manual_seed(0)
+    sizes = {"width": 32, "layers": 1, "heads": 2, "feedforward": 32, "dropout": 0.0}
+    net = Denoiser(DenoiserConfig(**sizes, text_width=8))
+    for parameter in net.parameters():
+        torch.nn.init.normal_(parameter, std=0.1)
+    x, t, cond = torch.randn(2, 7, 524), torch.tensor([3, 500]), torch.randn(2, 8)
+    mask = (torch.arange(7) < torch.tensor([[7], [4]])).float()
+    gradients = []
+    for half in (False, True):
+        net.zero_grad()
+        with torch.autocast("cpu", torch.bfloat16, enabled=half):
+            out = net(x, t, cond, mask)
+        out.float().square().mean().backward()
+        gradients.append(
+            torch.cat([p.grad.flatten() for p in net.parameters() if p.grad is not None])
+        )
+    fine, coarse = gradients
+    assert (fine - coarse).norm() < 0.03 * fine.norm()
