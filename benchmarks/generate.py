@@ -101,7 +101,7 @@ class Baseline(nn.Module):
     def forward(self, x: Tensor, t: Tensor, cond: Tensor) -> Tensor:
         """Return the next states."""
         net = self.denoiser.networks[0]
-        embedding = net.condition(self.denoiser.positions[t], cond)
+        embedding = net.embed_time(self.denoiser.positions[t]) + net.embed_text(cond)
         a, b = (
             net.embed_motion(part) + self.denoiser.positions[: x.shape[1]]
             for part in x.chunk(2, dim=-1)

@@ -101,6 +101,7 @@ class TestInstalled:
         with pytest.raises(PortLost, match="cannot be opened"):
             self.transport("/dev/does-not-exist").open()
 
+    @pytest.mark.realtime
     @pytest.mark.parametrize("fast", [False, True])
     def test_a_silent_servo_hides_the_others_in_a_fast_read_alone(self, fast, monkeypatch):
         monkeypatch.setattr("bridge.servo.rustypot_transport.ALONE_LIMIT", 60.0)
