@@ -14,8 +14,7 @@ CONTROLLER = "ilqr"
 VARIANTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
         "everything": {},
-        "without ghost": {"ghost": False},
-        "ghost that does not yield": {"ghost": True},
+        "ghost in all clips": {"ghost": "yielding"},
         "without feedback": {"feedback": False},
         "without contact cost": {"touch": False},
         "without derivative cache": {"cache": 0.0},

@@ -249,7 +249,12 @@ def borne(rollout: Rollout) -> float:
 
 
 VARIANTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
-    {"yielding ghost": {}, "rigid ghost": {"ghost": True}, "without ghost": {"ghost": False}}
+    {
+        "everything": {},
+        "yielding ghost": {"ghost": "yielding"},
+        "rigid ghost": {"ghost": True},
+        "without ghost": {"ghost": False},
+    }
 )
 """Names of variants and the fields of ``IlqrSettings`` that make them."""
 
@@ -278,7 +283,7 @@ def main() -> int:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--only", default="", help="duets whose names contain this")
     parser.add_argument("--angle", type=float, help="lean of all, degrees")
-    parser.add_argument("--variant", default="yielding ghost", choices=tuple(VARIANTS))
+    parser.add_argument("--variant", default="everything", choices=tuple(VARIANTS))
     parser.add_argument("--recovery", type=int, default=8, help="most tries after a fall")
     args = parser.parse_args()
     settings = IlqrSettings(**VARIANTS[args.variant], recovery=args.recovery)

@@ -32,6 +32,7 @@ from sim.reference import Reference
 from sim.rollout import FALL_DISTANCE
 from sim.scene import Scene
 from sim.simulation import Simulation, Snapshot
+from sim.support import LEANS, leaning
 
 log = logging.getLogger(__name__)
 
@@ -130,7 +131,10 @@ class _Run:
         self.simulation = Simulation(scene, reference, disturbance)
         self.goal = scene.qpos(reference.root, reference.rotations)
         self.goal_keypoints = scene.keypoints(self.goal)
-        self.people = [person_model(scene, p, ghost=settings.ghost) for p in range(2)]
+        self.ghost = settings.ghost
+        if self.ghost == "auto":
+            self.ghost = "yielding" if max(leaning(scene, reference)) > LEANS else False
+        self.people = [person_model(scene, p, ghost=self.ghost) for p in range(2)]
         self.guide = AssistGuide(scene, reference)
         self.planners = _planners(
             settings, scene, reference, self.goal, self.people, self.guide, earlier
@@ -262,6 +266,7 @@ class _Run:
         facts: dict[str, Any] = {
             "recoveries": self.recovery.events,
             "derivatives": {"asked": asked, "taken": taken, "repaired": repaired},
+            "ghost": self.ghost,
         }
         if self.fallen is not None:
             time = self.fallen / self.reference.rate

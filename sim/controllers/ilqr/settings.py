@@ -75,9 +75,10 @@ class IlqrSettings:
     cache: float = 3.0
     """How far a knot may have moved for its derivatives to be kept, in units of 0.01 rad, 0.3 rad/s
     and 0.05 rad of control; 0 takes all of them anew for every plan."""
-    ghost: bool | Literal["yielding"] = "yielding"
+    ghost: bool | Literal["yielding", "auto"] = "auto"
     """Whether plans see the partner: as bodies that can be pushed away with the partner's weight
-    (``yielding``), as ones that nothing moves (True), or not at all."""
+    (``yielding``), as ones that nothing moves (True), or not at all; ``auto``: yielding where the
+    reference has somebody lean (:mod:`sim.support`), else not at all."""
     feedback: bool = True
     """Whether the time-varying LQR gains act between plans."""
     touch: bool = True
@@ -114,8 +115,9 @@ class IlqrSettings:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise SpecError(f"{value}", where=f"ilqr.{name}", allowed=f"{low:g} to {high:g}")
-        if self.ghost not in (True, False, "yielding"):
-            raise SpecError(f"{self.ghost}", where="ilqr.ghost", allowed="true, false, yielding")
+        if self.ghost not in (True, False, "yielding", "auto"):
+            allowed = "true, false, yielding, auto"
+            raise SpecError(f"{self.ghost}", where="ilqr.ghost", allowed=allowed)
 
 
 QUALITIES: dict[str, IlqrSettings] = {
