@@ -231,7 +231,7 @@ def _diverged(what: str, time: float, trace: Trace | None) -> SimDiverged:
 def quiet_mujoco() -> Iterator[None]:
     """Send MuJoCo's warnings to the log instead of the terminal and ``MUJOCO_LOG.TXT``."""
     before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda message: log.warning("MuJoCo: %s", message))
+    mujoco.set_mju_user_warning(lambda message: log.info("MuJoCo: %s", message))
     try:
         yield
     finally:

@@ -11,7 +11,7 @@ import pytest
 
 from generator.choreographer import choreograph
 from generator.motion import Contact, DuetMotion, Motion
-from robots.errors import SpecError
+from robots.errors import SimDiverged, SpecError
 from robots.skeleton import FloatArray
 from sim.controllers.ilqr.controller import IlqrController, _Run
 from sim.controllers.ilqr.cost import TrackingCost
@@ -128,6 +128,26 @@ def test_a_fall_that_nothing_saves_ends_the_run_and_says_when(scene, reference, 
     trace = IlqrController(settings=IlqrSettings(recovery=0, horizon=0.2)).run(scene, reference)
     assert len(trace.qpos) < len(reference.root)
     assert "fell at" in trace.facts["ended"]["why"]
+
+
+def test_of_tries_that_diverge_the_one_that_came_furthest_is_kept(scene, reference, monkeypatch):
+    ends = iter([24, 8])
+    settings = IlqrSettings(recovery=1, horizon=0.1, threads=1)
+    with ThreadPoolExecutor(1) as pool:
+        run = _Run(settings, scene, reference, NONE, pool)
+        advance, end = run._advance, [next(ends)]
+
+        def failing() -> None:
+            if run.simulation.tick == end[0]:
+                end[0] = next(ends, 0)
+                raise np.linalg.LinAlgError
+            advance()
+
+        monkeypatch.setattr(run, "_advance", failing)
+        with pytest.raises(SimDiverged, match=r"diverged at 0\.400 s") as caught:
+            run.to_end(None)
+    assert len(run.recovery.events) == 1
+    assert len(caught.value.trace.qpos) == 25
 
 
 def test_what_planners_keep_does_not_grow_with_the_clip(scene, reference):

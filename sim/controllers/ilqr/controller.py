@@ -141,6 +141,7 @@ class _Run:
         )
         self.recovery = _Recovery()
         self.fallen: int | None = None
+        self.furthest: Trace | None = None
 
     @property
     def _most_tries(self) -> int:
@@ -171,6 +172,7 @@ class _Run:
             try:
                 self._advance()
             except (SimDiverged, np.linalg.LinAlgError) as error:
+                self._remember()
                 if not self._go_back():
                     raise self._diverged() from error
             if progress is not None:
@@ -202,14 +204,20 @@ class _Run:
             self.guide.set(data, tick, p, self.scene.maps[p])
         simulation.step()
 
+    def _remember(self) -> None:
+        """Keep what happened if no try came further before the physics diverged."""
+        if self.furthest is None or self.simulation.tick >= len(self.furthest.qpos):
+            self.furthest = self.simulation.trace()
+
     def _diverged(self) -> SimDiverged:
         """Return what to raise where the physics, or a plan in it, ran into absurd numbers."""
-        time = self.simulation.tick / self.reference.rate
+        trace = self.furthest or self.simulation.trace()
+        time = (len(trace.qpos) - 1) / self.reference.rate
         return SimDiverged(
             f"the physics diverged at {time:.3f} s",
             hint="check the motion there: a jump or people deep inside each other",
             time=time,
-            trace=replace(self.simulation.trace(), facts=self._facts()),
+            trace=replace(trace, facts=self._facts()),
         )
 
     def _lost(self, distance: float) -> bool:
