@@ -42,8 +42,8 @@ WAKE = 0.00006
 """The operating system wakes a sleeper up to this late, s: the last moment before an answer is due
 is waited out awake."""
 IDLE = 0.004
-"""Longest silence, s, after which a body that hangs on the bus moves on: what it has to catch up with
-when the next packet comes delays the answer. 20 ms of a walking robot take 6 ms to compute."""
+"""Longest silence, s, after which a body that hangs on the bus moves on: what it has to catch up
+with delays the answer to the next packet. 20 ms of a walking robot take 6 ms to compute."""
 
 
 class PtyServer:
