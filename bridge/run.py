@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -21,7 +21,7 @@ from robots.files import plain, write_json
 if TYPE_CHECKING:
     from bridge.player.telemetry import Performance
     from generator.intergen import IntergenRequest
-    from generator.runtime.generation import DiffusionRequest
+    from generator.runtime.request import DiffusionRequest
     from sim.outcome import TrackOutcome
     from sim.report import Report
     from sim.track import TrackSettings
@@ -51,6 +51,10 @@ class RunSettings:
     """Which model, if that is one without torch."""
     nearest: bool = False
     """Take the nearest interaction for a sentence outside the repertoire."""
+    style: Mapping[str, float] = field(default_factory=dict)
+    """Numbers of the style that the choreographer takes instead of the sentence's."""
+    raw: bool = False
+    """Leave what a network drew as it is."""
     tracking: TrackSettings | None = None
     """How the motion is tracked; the defaults if not given."""
     robots: tuple[str, str] = ("op3", "op3")
@@ -196,6 +200,8 @@ def _motion(settings: RunSettings, progress: Progress) -> dict[str, Any]:
         nearest_known=settings.nearest,
         generator=settings.generator,
         intergen=settings.intergen,
+        style=settings.style,
+        raw=settings.raw,
         diffusion=settings.diffusion,
         progress=progress,
     )

@@ -8,11 +8,21 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bridge.gate import RETARGETING, vouch
+from bridge.generating import (
+    FPS,
+    GENERATORS,
+    Progress,
+    clean,
+    describe,
+    make,
+    make_group,
+    no_progress,
+)
 from bridge.sources import (
     FROM_FILE,
     ROLLOUT_SCHEMA,
@@ -21,24 +31,21 @@ from bridge.sources import (
     read,
     schema_of,
 )
-from generator.motion import DuetMotion
-from robots.errors import SpecError, nearest
+from robots.errors import SpecError
 from robots.files import plain, write_json
 
 if TYPE_CHECKING:  # physics, hardware and networks are loaded by the stages that need them
     from bridge.player.settings import PlayerSettings
     from bridge.player.telemetry import Performance
+    from generator.finishing import Finishing
     from generator.intergen import IntergenRequest
-    from generator.runtime.generation import DiffusionRequest
+    from generator.runtime.request import DiffusionRequest
     from robots.spec import RobotSpec
     from sim.outcome import TrackOutcome
     from sim.report import Report
     from sim.rollout import Rollout
     from sim.track import TrackSettings
 
-Progress = Callable[[float], None]
-
-GENERATORS = ("choreographer", "diffusion", "intergen")
 CONTROLLERS = ("ilqr", "mppi", "assist")
 SHOWN = ("plan", "servos")
 """What puppets in a film do: what the trajectories ask for, or what the servos did."""
@@ -58,10 +65,6 @@ SUMMARY = "summary.json"
 """Names of the files that a run leaves in its folder."""
 
 
-def no_progress(_: float) -> None:
-    """Take a share of work done and do nothing with it."""
-
-
 def generate(
     text: str,
     out: Path,
@@ -71,6 +74,8 @@ def generate(
     generator: str = GENERATORS[0],
     intergen: IntergenRequest | None = None,
     diffusion: DiffusionRequest | None = None,
+    style: Mapping[str, float] | None = None,
+    raw: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Write ``motion.npz`` for a sentence; return what was understood.
@@ -83,45 +88,86 @@ def generate(
         generator: Who turns sentences into motion.
         intergen: Which model, and what is given of the motion, for ``intergen``.
         diffusion: Which model, and how it is drawn from, for ``diffusion``.
+        style: Numbers of the style that the choreographer takes instead of the sentence's.
+        raw: Leave what a network drew as it is; it is finished otherwise.
         progress: Told the share done.
 
     Raises:
         PromptError: The sentence is outside the repertoire and ``nearest_known`` is off.
         CheckpointError: The model is missing or damaged.
     """
-    if generator not in GENERATORS:
-        raise SpecError(
-            f"no generator '{generator}'",
-            allowed=", ".join(GENERATORS),
-            hint=nearest(generator, GENERATORS),
-        )
     from generator.io import write_motion
 
-    if generator == "intergen":
-        from generator.intergen import IntergenRequest
-        from generator.intergen import generate as draw
-
-        drawn, facts = draw(text, intergen or IntergenRequest(), seed=seed, progress=progress)
-        write_motion(drawn, out)
-        return {"text": text, "generator": generator, **facts, **describe(drawn)}
-    if generator == "diffusion":
-        from generator.runtime.generation import DiffusionRequest
-        from generator.runtime.generation import generate as sample
-
-        request = diffusion or DiffusionRequest()
-        drawn, facts = sample(text, request, seed=seed, progress=progress)
-        write_motion(drawn, out)
-        return {"text": text, "generator": generator, **facts, **describe(drawn)}
-    from generator.choreographer.from_text import generate as choreograph
-
-    motion, understood = choreograph(text, seed=seed, nearest=nearest_known)
+    motion, facts = make(
+        text,
+        seed=seed,
+        nearest_known=nearest_known,
+        style=style,
+        generator=generator,
+        intergen=intergen,
+        diffusion=diffusion,
+        raw=raw,
+        progress=progress,
+    )
     write_motion(motion, out)
-    return {
-        "text": text,
-        "generator": generator,
-        "confidence": round(float(understood.confidence), 4),
-        **describe(motion),
-    }
+    return {"text": motion.text, "generator": generator, **facts, **describe(motion)}
+
+
+def generate_group(
+    text: str,
+    out: Path,
+    request: DiffusionRequest,
+    *,
+    seed: int = 0,
+    raw: bool = False,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Write one motion file a pair, ``x-ab.npz``, ``x-bc.npz`` ... for ``x.npz``; return facts.
+
+    Args:
+        text: What each pair does.
+        out: Name that theirs are made of.
+        request: Which model, how many people, and how they are drawn.
+        seed: Same seed, same machine: same motions.
+        raw: Leave them as they were drawn.
+        progress: Told the share done.
+    """
+    from generator.io import write_motion
+
+    duets, facts = make_group(text, request, seed=seed, raw=raw, progress=progress)
+    files = []
+    for pair, motion in duets.items():
+        path = out.with_name(f"{out.stem}-{pair}{out.suffix}")
+        write_motion(motion, path)
+        files.append(str(path))
+    first = next(iter(duets.values()))
+    return {"text": text, "generator": "diffusion", **facts, **describe(first), "files": files}
+
+
+def finish(
+    motion: Path,
+    out: Path,
+    *,
+    fps: float = FPS,
+    settings: Finishing | None = None,
+    touches: Sequence[tuple[str, str]] = (),
+    request: MotionRequest = FROM_FILE,
+) -> dict[str, Any]:
+    """Write a motion as two bodies could have moved it; return what it is and what was changed.
+
+    Args:
+        motion: Any motion file.
+        out: File to write.
+        fps: Frames per second of the result.
+        settings: Bounds of finishing; the defaults if not given.
+        touches: Points of a and b that are meant to touch somewhere.
+        request: What the motion file leaves unsaid.
+    """
+    from generator.io import write_motion
+
+    done, changes = clean(read(motion, request), fps=fps, settings=settings, touches=touches)
+    write_motion(done, out)
+    return {"text": done.text, **describe(done), "source": done.source, "finishing": changes}
 
 
 def import_motion(path: Path, out: Path, request: MotionRequest) -> dict[str, Any]:
@@ -358,19 +404,3 @@ def default_folder(source: str) -> Path:
     name = Path(source).stem if Path(source).exists() else source
     slug = "-".join(re.findall(r"[a-z0-9]+", name.lower()))[:60].strip("-")
     return Path("out") / (slug or "duet")
-
-
-def describe(motion: DuetMotion) -> dict[str, Any]:
-    """Return the plain facts of a motion as JSON."""
-    return {
-        "interaction": motion.interaction,
-        "frames": motion.frames,
-        "fps": motion.fps,
-        "seconds": round(motion.duration, 3),
-        "seed": motion.seed,
-        "licence": motion.licence,
-        "contacts": [
-            {"a": c.a, "b": c.b, "start": round(c.start, 3), "end": round(c.end, 3), "gap": c.gap}
-            for c in motion.contacts
-        ],
-    }

@@ -71,7 +71,7 @@ class IntergenRequest:
     """Motion file, or ``FILE@FROM:TO``, with which it begins."""
     end: str = ""
     """Motion file, or ``FILE@FROM:TO``, with which it ends."""
-    then: tuple[str, ...] = ()
+    rounds: tuple[str, ...] = ()
     """Sentences of further rounds between start and end."""
     strength: float = 0.7
     """How much a further round changes, 0 to 1."""
@@ -86,8 +86,8 @@ class IntergenRequest:
         used = [name for name, value in kinds.items() if value]
         if len(used) > 1:
             raise SpecError(f"{' with '.join(used)}", allowed="one of them at a time")
-        if self.then and not (self.start or self.end):
-            raise SpecError("further rounds need a start or an end", where="--then")
+        if self.rounds and not (self.start or self.end):
+            raise SpecError("further rounds need a start or an end", where="--round")
         if self.threads is not None and self.threads < 1:
             raise SpecError(f"{self.threads}", where="--threads", allowed="1 or more")
         if self.frames is not None and self.seconds is not None:
@@ -158,7 +158,7 @@ def _drawn(
         draw = Draw(
             sampler=sampler_of(request), smoothing=request.smoothing, strength=request.strength
         )
-        texts = (text, *request.then)
+        texts = (text, *request.rounds)
         motion = generate_around(model, texts, given, seed=seed, draw=draw, progress=progress)
         facts |= {"application": kind_of(given), "rounds": len(texts)}
         return motion, facts

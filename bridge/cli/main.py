@@ -22,6 +22,7 @@ PACKAGES = ("robots", "generator", "sim", "bridge")
 VERBS = {
     "run": "sentence or motion file to two performing puppets, every stage",
     "generate": "sentence to motion.npz",
+    "finish": "motion to a clean one: rigid bones, still feet, less jitter, hands that meet",
     "track": "motion to rollout.npz: two humanoids perform it in physics",
     "score": "rollout or motion to report.json: is it plausible?",
     "retarget": "motion to trajectory-a.npz and trajectory-b.npz for servo robots",

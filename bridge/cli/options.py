@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bridge.sources import MotionRequest
-from bridge.stages import CONTROLLERS, GENERATORS, PLANTS
+from bridge.stages import CONTROLLERS, PLANTS
 from robots.errors import SpecError
 
 if TYPE_CHECKING:
-    from generator.intergen import IntergenRequest
-    from generator.runtime.generation import DiffusionRequest
     from sim.track import TrackSettings
 
 DEFAULT_ROBOT = "op3"
@@ -25,116 +23,6 @@ def add_seed(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", type=int, default=0, help="same seed, same machine: same output (default 0)"
     )
-
-
-def add_generator(parser: argparse.ArgumentParser) -> None:
-    """Add what ``generate`` and ``run`` share."""
-    parser.add_argument(
-        "--generator",
-        choices=GENERATORS,
-        default=GENERATORS[0],
-        help="who turns the sentence into motion: composed movements (choreographer, default), a"
-        " diffusion model without torch (diffusion), or with it (intergen)",
-    )
-    parser.add_argument(
-        "--nearest",
-        action="store_true",
-        help="for a sentence outside the repertoire, take the nearest interaction",
-    )
-
-
-def add_intergen(parser: argparse.ArgumentParser) -> None:
-    """Add what ``--generator diffusion`` and ``--generator intergen`` take."""
-    group = parser.add_argument_group("for --generator diffusion and --generator intergen")
-    group.add_argument(
-        "--weights", default="", metavar="DIR", help="a model; for intergen also a .ckpt file"
-    )
-    length = group.add_mutually_exclusive_group()
-    length.add_argument("--frames", type=int, help="length in frames")
-    length.add_argument("--seconds", type=float, help="length in seconds")
-    group.add_argument(
-        "--steps", type=int, help="sampling steps (default: the model's own; 50 for intergen)"
-    )
-    group.add_argument(
-        "--guidance", type=float, help="weight of the text (the model's own; 3.5 for intergen)"
-    )
-    group.add_argument(
-        "--threads", type=int, help="of the processor (default: one; for intergen all but one)"
-    )
-    group = parser.add_argument_group("for --generator intergen")
-    group.add_argument("--solver", choices=("auto", "ddim", "dpm2m"), default="auto")
-    group.add_argument("--precision", choices=("float32", "fast", "bfloat16"), default="fast")
-    group.add_argument("--given", default="", metavar="FILE", help="keep one person of this motion")
-    group.add_argument("--given-person", choices=("a", "b"), default="a", help="which (default a)")
-    for person in ("a", "b"):
-        group.add_argument(
-            f"--path-{person}",
-            default="",
-            metavar="CSV",
-            help=f"where {person} goes: lines of time s, x m, y m; or a motion file",
-        )
-    for edge, verb in (("start", "begins"), ("end", "ends")):
-        group.add_argument(
-            f"--{edge}",
-            default="",
-            metavar="FILE[@S:S]",
-            help=f"the motion {verb} with this one, or with a part of it (seconds)",
-        )
-    group.add_argument(
-        "--then",
-        action="append",
-        default=[],
-        metavar="TEXT",
-        help="one more round between start and end, from the motion so far; can be repeated",
-    )
-    group.add_argument(
-        "--strength", type=float, default=0.7, help="how much a round changes, 0 to 1 (0.7)"
-    )
-
-
-_INTERGEN = (
-    "weights", "frames", "seconds", "solver", "precision", "given", "given_person", "path_a",
-    "path_b", "start", "end", "strength",
-)  # fmt: skip
-_OWN = ("steps", "guidance")
-"""Settings of which a model has its own."""
-_GIVEN = ("given", "path_a", "path_b", "start", "end", "then")
-
-
-def intergen_request(args: argparse.Namespace) -> IntergenRequest | None:
-    """Return what :func:`add_intergen` parsed; ``None`` for another generator.
-
-    Raises:
-        SpecError: Settings exclude each other, or are out of range.
-    """
-    if args.generator != "intergen":
-        return None
-    from generator.intergen import IntergenRequest
-
-    values = {name: getattr(args, name) for name in _INTERGEN}
-    values |= {name: value for name in _OWN if (value := getattr(args, name)) is not None}
-    return IntergenRequest(**values, threads=args.threads, then=tuple(args.then))
-
-
-def diffusion_request(args: argparse.Namespace) -> DiffusionRequest | None:
-    """Return what :func:`add_intergen` parsed for a model without torch; ``None`` for another.
-
-    Raises:
-        SpecError: Settings exclude each other, are out of range, or need torch.
-    """
-    if args.generator != "diffusion":
-        return None
-    for name in _GIVEN:
-        if getattr(args, name):
-            raise SpecError(
-                "--generator diffusion takes nothing that is given of the motion",
-                where=f"--{name.replace('_', '-')}",
-                allowed="--generator intergen",
-            )
-    from generator.runtime.generation import DiffusionRequest
-
-    names = ("weights", "frames", "seconds", "threads", *_OWN)
-    return DiffusionRequest(**{name: getattr(args, name) for name in names})
 
 
 def add_unit_ports(parser: argparse.ArgumentParser) -> None:

@@ -7,16 +7,18 @@ from pathlib import Path
 
 from bridge import stages
 from bridge.cli.console import Console
-from bridge.cli.options import (
+from bridge.cli.generator_options import (
     add_generator,
-    add_intergen,
+    diffusion_request,
+    intergen_request,
+    style_request,
+)
+from bridge.cli.options import (
     add_motion_request,
     add_plant,
     add_robots,
     add_seed,
     add_tracking,
-    diffusion_request,
-    intergen_request,
     motion_request,
     robot_pair,
     track_settings,
@@ -30,7 +32,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--out", type=Path, help="folder (default: out/ and the sentence)")
     add_seed(parser)
     add_generator(parser)
-    add_intergen(parser)
     add_tracking(parser)
     add_robots(parser)
     parser.add_argument(
@@ -61,6 +62,8 @@ def execute(args: argparse.Namespace, console: Console) -> int:
         intergen=intergen_request(args),
         diffusion=diffusion_request(args),
         nearest=args.nearest,
+        style=style_request(args),
+        raw=args.raw,
         tracking=track_settings(args),
         robots=robot_pair(args),
         speed=args.speed,

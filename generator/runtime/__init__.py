@@ -4,9 +4,12 @@ A model that ``pasdedeux train --portable`` left is a folder; :func:`draw` takes
 it. :mod:`generator.training.portable` makes such folders, and needs torch for it.
 """
 
-from generator.runtime.generation import DiffusionRequest, draw, generate
+from generator.runtime.drawing import Steering, draw
+from generator.runtime.generation import generate
+from generator.runtime.group import generate_group
 from generator.runtime.network import GuidedNetwork, Network
 from generator.runtime.portable import SHIPPED, Portable, Sampling
+from generator.runtime.request import DiffusionRequest
 
 __all__ = [
     "SHIPPED",
@@ -15,6 +18,8 @@ __all__ = [
     "Network",
     "Portable",
     "Sampling",
+    "Steering",
     "draw",
     "generate",
+    "generate_group",
 ]

@@ -1,60 +1,58 @@
-"""From a sentence to a duet with a model that needs no torch."""
+"""From sentences to a duet with a model that needs no torch."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from generator.canonical import from_canonical
-from generator.diffusion import SamplerConfig, sample
-from generator.features import POSITIONS, decode
-from generator.motion import DuetMotion
-from generator.runtime.network import GuidedNetwork
+from generator.diffusion import SamplerConfig
+from generator.features import decode
+from generator.motion import MAX_FRAMES, DuetMotion
+from generator.runtime.accents import accents_of, sentence
+from generator.runtime.drawing import PLAIN, Progress, Steering, draw
+from generator.runtime.network import Floats
 from generator.runtime.portable import SHIPPED, Portable
-from generator.smoothing import smooth
+from generator.runtime.request import MANNER, DiffusionRequest
+from generator.runtime.sequence import Window, held_beginning, overlap_of, plan, sequence
 from generator.text.encoder import SentenceEncoder, packaged_encoder
 from robots.errors import CheckpointError, PromptError, SpecError
+from robots.skeleton import FloatArray
 
 SECONDS = 6.5
-"""Length of a motion if nothing else decides it: half of the choreographer's duets are shorter."""
+"""Length of a part if nothing else decides it: half of the choreographer's duets are shorter."""
+THEN = ", then "
+"""What joins the sentences of a sequence."""
 
-Progress = Callable[[float], None]
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Studio:
+    """A model with what a request chooses of it, ready to draw."""
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DiffusionRequest:
-    """What to generate besides the sentence; what is ``None`` is the model's own choice.
+    model: Portable
+    """The model."""
+    encoder: SentenceEncoder
+    """That of the model."""
+    sampler: SamplerConfig
+    """How motions are drawn."""
+    request: DiffusionRequest
+    """Everything that is asked for besides sentences."""
 
-    Raises:
-        SpecError: A number is out of range, or settings exclude each other.
-    """
+    def cond(self, text: str) -> Floats:
+        """Return the vector ``[1, C]`` of a sentence."""
+        return np.asarray(self.encoder.encode([sentence(text)]), np.float32)
 
-    weights: str = ""
-    """Folder of a model; the one that ships by default."""
-    frames: int | None = None
-    """Length in frames."""
-    seconds: float | None = None
-    """Length in seconds, instead of ``frames``."""
-    steps: int | None = None
-    """Sampling steps."""
-    guidance: float | None = None
-    """Weight of the sentence."""
-    threads: int | None = None
-    """Threads; one by default."""
-    smoothing: float = 0.0
-    """Deviation in frames of the Gaussian over generated keypoints."""
+    def steering(self, text: str) -> Steering:
+        """Return what energy and amplitude do to the draw of a sentence."""
+        accents = accents_of(text, self.request, self.encoder)
+        return Steering(accents=accents) if accents else PLAIN
 
-    def __post_init__(self) -> None:
-        """Validate."""
-        if self.frames is not None and self.seconds is not None:
-            raise SpecError("frames and seconds", allowed="one of them")
-        if self.threads is not None and self.threads < 1:
-            raise SpecError(f"{self.threads}", where="--threads", allowed="1 or more")
+    @property
+    def fps(self) -> float:
+        """Frames per second at which the motion is played."""
+        return self.model.provenance.fps * self.request.tempo
 
 
 def generate(
@@ -68,18 +66,47 @@ def generate(
     """Return a duet and the facts of how it was made.
 
     Args:
-        text: The sentence.
+        text: The sentence; ``request.then`` has those of further parts.
         request: Everything else.
         seed: The same seed gives the same duet on the same machine.
         encoder: Sentence encoder; the one that ships by default.
         progress: Called with the share done, 0 to 1.
 
     Raises:
-        PromptError: The sentence is empty.
+        PromptError: A sentence is empty.
         CheckpointError: The model is missing or damaged.
+        MotionFileError: A take cannot be read.
         SpecError: A setting is out of range.
     """
-    if not text.strip():
+    texts = (text, *request.then)
+    studio = open_studio(texts, request, encoder)
+    facts = facts_of(studio)
+    parts = part_frames(studio, len(texts))
+    overlap = overlap_of(studio.model.sampling.frames, studio.model.provenance.fps)
+    windows = plan(parts, studio.model.sampling.frames, overlap)
+    if len(windows) == 1:
+        features = _one(studio, text, parts[0], seed, progress)
+    else:
+        features = _many(studio, texts, windows, overlap, seed, progress)
+        ends = np.cumsum(parts) / studio.fps
+        facts["parts"] = [
+            {"text": part, "end": round(float(end), 3)}
+            for part, end in zip(texts, ends, strict=True)
+        ]
+        facts["windows"] = len(windows)
+    return as_motion(studio, features, THEN.join(_spoken(texts)), seed), facts
+
+
+def open_studio(
+    texts: tuple[str, ...], request: DiffusionRequest, encoder: SentenceEncoder | None = None
+) -> Studio:
+    """Return a model with its encoder and sampler.
+
+    Raises:
+        PromptError: A sentence is empty.
+        CheckpointError: The model is missing or damaged.
+    """
+    if not all(text.strip() for text in texts):
         raise PromptError("the sentence is empty")
     model = Portable.load(chosen_folder(request.weights), threads=request.threads or 1)
     if encoder is None:
@@ -90,70 +117,73 @@ def generate(
                 " come with it",
                 where=request.weights,
             )
-    frames = _frames(request, model)
-    sampler = model.sampling.sampler(request.steps, request.guidance)
-    cond = np.asarray(encoder.encode([text]), np.float32)
-    features = draw(model, cond, frames, sampler, seed=seed, progress=progress)[0]
-    features[..., POSITIONS] = smooth(features[..., POSITIONS], request.smoothing)
-    motion = decode(
+    return Studio(model, encoder, model.sampling.sampler(request.steps, request.guidance), request)
+
+
+def facts_of(studio: Studio) -> dict[str, Any]:
+    """Return what is known before anything is drawn, as JSON."""
+    request = studio.request
+    facts: dict[str, Any] = {
+        "weights": request.weights or "shipped",
+        "model": studio.model.provenance.source,
+        "steps": studio.sampler.steps,
+        "guidance": studio.sampler.guidance,
+    }
+    facts |= {name: getattr(request, name) for name in MANNER if getattr(request, name) != 1}
+    facts |= {k: list(v) for k in ("like", "unlike") if (v := getattr(request, k))}
+    return facts
+
+
+def as_motion(studio: Studio, features: FloatArray, text: str, seed: int) -> DuetMotion:
+    """Return the motion of features ``[T, 2, 262]``, played at the tempo that is asked for."""
+    provenance = studio.model.provenance
+    return decode(
         features,
-        model.provenance.fps,
+        studio.fps,
         text=text,
         seed=seed,
-        source=model.provenance.source,
-        licence=model.provenance.licence,
+        source=provenance.source,
+        licence=provenance.licence,
     )
-    facts = {
-        "weights": request.weights or "shipped",
-        "model": model.provenance.source,
-        "steps": sampler.steps,
-        "guidance": sampler.guidance,
-    }
-    return motion, facts
 
 
-def draw(
-    model: Portable,
-    cond: NDArray[np.float32],
-    frames: int,
-    sampler: SamplerConfig | None = None,
-    *,
-    seed: int = 0,
-    noise: NDArray[np.float32] | None = None,
-    progress: Progress | None = None,
-) -> NDArray[np.float64]:
-    """Return features ``[B, T, 2, 262]`` in metres, drawn for text vectors.
-
-    Args:
-        model: The model.
-        cond: ``[B, C]`` text vectors.
-        frames: Length T.
-        sampler: How; the model's own choice by default.
-        seed: Of all randomness.
-        noise: ``[B, T, 2F]`` to start from; drawn from the seed by default.
-        progress: Called with the share done, 0 to 1.
+def part_frames(studio: Studio, count: int) -> list[int]:
+    """Return how many frames each of so many parts has; without a wish, as many as fit a window.
 
     Raises:
-        SpecError: The vectors are of another width.
+        SpecError: There are more than a motion may have, or the model cannot go on from its own
+            frames.
     """
-    config = sampler or model.sampling.sampler()
-    if cond.ndim != 2 or cond.shape[1] != model.config.text_width:
+    request, model = studio.request, studio.model
+    fps, longest = model.provenance.fps, model.sampling.frames
+    overlap = overlap_of(longest, fps)
+    if request.frames is not None:
+        parts = [request.frames] * count
+    elif request.seconds is not None:
+        parts = [max(2, round(request.seconds * studio.fps))] * count
+    else:
+        usual = round(SECONDS * fps)
+        parts = [min(usual, longest), *[min(usual, longest - overlap)] * (count - 1)]
+        if count == 1 and (taken := _take_frames(studio)):
+            parts = [min(taken, longest)]
+    if sum(parts) > MAX_FRAMES:
+        raise SpecError(f"{sum(parts)} frames", where="length", allowed=f"up to {MAX_FRAMES}")
+    several, takes = len(plan(parts, longest, overlap)) > 1, request.like or request.unlike
+    if (several or takes) and model.config.representation == "canonical":
         raise SpecError(
-            f"text vectors have shape {cond.shape}", allowed=f"(batch, {model.config.text_width})"
+            f"{sum(parts)} frames, or takes, from a model whose representation holds no places",
+            where="length",
+            allowed=f"2 to {longest} frames without takes",
         )
-    rng = np.random.default_rng(seed)
-    if noise is None:
-        shape = (len(cond), frames, 2 * model.config.features)
-        noise = rng.standard_normal(shape, np.float32)
-
-    def fresh(x: NDArray[np.float32]) -> NDArray[np.float32]:
-        return rng.standard_normal(x.shape, np.float32)
-
-    predict = GuidedNetwork(model.network, cond, config)
-    drawn = model.denormalise(sample(predict, noise, config, fresh=fresh, progress=progress))
-    if model.config.representation == "canonical":
-        drawn = np.stack([from_canonical(one) for one in drawn])
-    return drawn
+    if several and parts[0] <= overlap:
+        raise SpecError(
+            f"parts of {parts[0] / studio.fps:.2g} s",
+            where="length",
+            allowed=f"more than the {overlap / studio.fps:.2g} s that two of them share",
+        )
+    if several and takes:
+        raise SpecError(f"--like and --unlike with {sum(parts)} frames", allowed=f"2 to {longest}")
+    return parts
 
 
 def chosen_folder(weights: str) -> Path:
@@ -173,18 +203,81 @@ def chosen_folder(weights: str) -> Path:
     return SHIPPED
 
 
-def _frames(request: DiffusionRequest, model: Portable) -> int:
-    fps, longest = model.provenance.fps, model.sampling.frames
-    if request.frames is not None:
-        frames = request.frames
-    elif request.seconds is not None:
-        frames = round(request.seconds * fps)
-    else:
-        frames = min(round(SECONDS * fps), longest)
-    if not 2 <= frames <= longest:
-        raise SpecError(
-            f"{frames} frames",
-            where="length",
-            allowed=f"2 to {longest} ({longest / fps:g} s), which is what the model has learnt",
-        )
-    return frames
+def _one(
+    studio: Studio, text: str, frames: int, seed: int, progress: Progress | None
+) -> FloatArray:
+    """Return the features of one window, varied from or kept away from takes."""
+    from generator.runtime.takes import read_take
+
+    request, cond, steering = studio.request, studio.cond(text), studio.steering(text)
+
+    def redraw(other: int) -> FloatArray:
+        return draw(
+            studio.model, cond, frames, studio.sampler, seed=other, steering=steering
+        )[0]  # fmt: skip
+
+    def take(name: str) -> Floats:
+        return read_take(name, studio.model, frames, redraw)
+
+    if request.like:
+        # Of several takes each seed varies one: their mean would be nobody's motion.
+        start = take(request.like[seed % len(request.like)])
+        steering = replace(steering, start=start)
+    if request.unlike:
+        steering = replace(steering, avoid=tuple(take(name) for name in request.unlike))
+    return draw(
+        studio.model, cond, frames, studio.sampler, seed=seed, steering=steering, progress=progress
+    )[0]
+
+
+def _many(
+    studio: Studio,
+    texts: tuple[str, ...],
+    windows: list[Window],
+    overlap: int,
+    seed: int,
+    progress: Progress | None,
+) -> FloatArray:
+    """Return the features of a sequence of windows."""
+
+    def draw_window(number: int, window: Window, beginning: FloatArray | None) -> FloatArray:
+        text = texts[window.part]
+        steering = studio.steering(text)
+        if beginning is not None:
+            held = held_beginning(studio.model, beginning, window.frames)
+            steering = replace(steering, held=held)
+
+        def told(share: float) -> None:
+            if progress is not None:
+                progress((number + share) / len(windows))
+
+        return draw(
+            studio.model,
+            studio.cond(text),
+            window.frames,
+            studio.sampler,
+            # The first window is the motion that the sentence has alone.
+            seed=(seed, number) if number else seed,
+            steering=steering,
+            progress=told,
+        )[0]
+
+    return np.concatenate(list(sequence(windows, overlap, draw_window)))
+
+
+def _take_frames(studio: Studio) -> int | None:
+    """Return the length of the first liked take that is a file, in frames of the model."""
+    from generator.runtime.takes import take_frames
+
+    fps = studio.model.provenance.fps
+    for name in studio.request.like:
+        if frames := take_frames(name, fps):
+            return frames
+    return None
+
+
+def _spoken(texts: tuple[str, ...]) -> list[str]:
+    """Return sentences as parts of one; a single one stays as it is."""
+    if len(texts) == 1:
+        return list(texts)
+    return [text.strip().rstrip(".") for text in texts]

@@ -137,6 +137,11 @@ class Portable:
                 error.what, where=error.where or where, allowed=error.allowed, hint=error.hint
             ) from error
 
+    def normalise(self, features: NDArray) -> NDArray[np.float32]:
+        """Return normalised features ``[..., 2F]`` of raw ones ``[..., 2, F]``."""
+        people = (np.asarray(features, float) - self.mean) / self.std
+        return people.reshape(*people.shape[:-2], -1).astype(np.float32)
+
     def denormalise(self, normalised: NDArray[np.float32]) -> NDArray[np.float64]:
         """Return raw features ``[..., 2, F]`` of normalised ones ``[..., 2F]``."""
         people = normalised.astype(np.float64).reshape(*normalised.shape[:-1], 2, -1)

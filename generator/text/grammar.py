@@ -212,3 +212,8 @@ def _manner(style: Style, rng: np.random.Generator, *, apart: bool) -> dict[str,
 
 def _pick(options: list, rng: np.random.Generator):
     return options[int(rng.integers(len(options)))]
+
+
+def manner_words(name: str, direction: Literal["low", "high"]) -> list[str]:
+    """Return the words that say that a number of the style is low or high."""
+    return list(_people()["manner"][name].get(direction, ()))

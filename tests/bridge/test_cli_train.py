@@ -17,6 +17,7 @@ import pytest
 from bridge.cli import main
 from generator.choreographer import choreograph
 from generator.io import read_motion, write_motion
+from generator.motion import DuetMotion
 from robots.files import read_archive
 
 torch = pytest.importorskip("torch")
@@ -228,6 +229,13 @@ def test_a_sentence_becomes_a_motion(trained: Path, tmp_path: Path, capsys) -> N
     assert np.array_equal(again["keypoints"], made["keypoints"])
 
 
+def breathing(motion: DuetMotion) -> float:
+    """Return by how much bones change their length, m."""
+    parents = list(motion.a.skeleton.parents[1:])
+    bones = motion.keypoints[:, :, 1:] - motion.keypoints[:, :, parents]
+    return float(np.ptp(np.linalg.norm(bones, axis=-1), axis=0).max())
+
+
 def test_a_finished_run_leaves_a_model_that_runs_without_torch(
     clips: Path, trained: Path, tmp_path: Path, capsys
 ) -> None:
@@ -240,11 +248,20 @@ def test_a_finished_run_leaves_a_model_that_runs_without_torch(
     facts = json.loads(capsys.readouterr().out)
     assert (facts["generator"], facts["model"], facts["steps"]) == ("diffusion", "test", 2)
     assert facts["frames"] == 12, "longer than what was learnt"
+    assert facts["finishing"]["moved"] > 0
+    whole = read_motion(out)
+    assert main([*map(str, request), "-o", str(out), "--steps", "2", "--raw"]) == 0
+    raw = read_motion(out)
+    assert (raw.source, raw.licence) == (whole.source, whole.licence)
+    assert breathing(whole) < 1e-6 < 1e-3 < breathing(raw)
+    assert main([*map(str, request), "-o", str(out), "--steps", "2", "--then", "they wave"]) == 0
+    assert read_motion(out).text == "they bow, then they wave"
     assert read_motion(out).source == "test"
     for wrong, said in (
         (["--given", str(out)], "--given"),
-        (["--then", "they wave"], "--then"),
-        (["--seconds", "9"], "12"),
+        (["--round", "they wave"], "--generator intergen"),
+        (["--tempo", "3"], "0.6 to 1.4"),
+        (["--like", "no such file"], "seed"),
         (["--weights", str(trained)], "--portable"),
     ):
         assert main([*map(str, request), "-o", str(out), *wrong]) == 2
@@ -266,7 +283,7 @@ def test_the_applications_keep_what_is_given(clips: Path, trained: Path, tmp_pat
     line = np.stack([np.linspace(0.5, 1.5, 31), np.linspace(0, 0.5, 31)], axis=1)
     assert np.abs(made[:, 1, 0, :2] - line).max() < 1e-6
     options = ("--start", f"{source}@0:0.5", "--end", f"{source}@1:1.5", "--seconds", "2")
-    for text, more in (("they hug", ("--then", "they bow")), ("", ())):
+    for text, more in (("they hug", ("--round", "they bow")), ("", ())):
         made = generate(trained, tmp_path / "i.npz", text, *options, *more)["keypoints"]
         assert np.abs(made[:16] - given[:16]).max() < 1e-6
         assert np.abs(made[-16:] - given[30:46]).max() < 1e-6

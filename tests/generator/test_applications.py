@@ -347,7 +347,7 @@ def test_requests_that_exclude_each_other_are_refused() -> None:
     wrong: tuple[tuple[dict[str, Any], str], ...] = (
         ({"given": "a", "start": "b"}, "--given with --start"),
         ({"path_b": "a", "end": "b"}, "--path-a and --path-b with"),
-        ({"then": ("x",)}, "--then"),
+        ({"rounds": ("x",)}, "--round"),
         ({"frames": 3, "seconds": 1.0}, "frames and seconds"),
         ({"frames": 1}, "--frames"),
         ({"seconds": float("nan")}, "--seconds"),
