@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
@@ -11,7 +12,7 @@ from generator.motion import DuetMotion
 from robots.errors import SpecError, nearest
 
 if TYPE_CHECKING:  # networks are loaded by the generators that need them
-    from generator.finishing import Finishing
+    from generator.finishing import Finishing, Meeting
     from generator.intergen import IntergenRequest
     from generator.runtime.request import DiffusionRequest
 
@@ -88,7 +89,7 @@ def make(
     facts["cpu_seconds"] = round(time.process_time() - start, 3)
     if raw:
         return motion, facts
-    motion, changes = clean(motion)
+    motion, changes = clean(motion, touches=_meetings(text, facts))
     return motion, {**facts, "finishing": changes}
 
 
@@ -133,7 +134,7 @@ def clean(
     *,
     fps: float = FPS,
     settings: Finishing | None = None,
-    touches: Sequence[tuple[str, str]] = (),
+    touches: Sequence[Meeting | tuple[str, str]] = (),
 ) -> tuple[DuetMotion, dict[str, Any]]:
     """Return a motion as two bodies could have moved it, and what was changed, as JSON.
 
@@ -141,7 +142,7 @@ def clean(
         motion: From any generator or file.
         fps: Frames per second of the result.
         settings: Bounds; the defaults if not given.
-        touches: Points of a and b that are meant to touch somewhere.
+        touches: Points of a and b that are meant to touch, somewhere or in a certain time.
 
     Raises:
         MotionError: The frame rate is absurd.
@@ -155,6 +156,17 @@ def clean(
     facts["fps_before"] = motion.fps
     facts["cpu_seconds"] = round(time.process_time() - start, 3)
     return done, facts
+
+
+def _meetings(text: str, facts: dict[str, Any]) -> list[Meeting]:
+    """Return who is to meet when, as the sentences of a motion say."""
+    from generator.finishing.meant import meetings_of
+
+    found, start = [], 0.0
+    for part in facts.get("parts", [{"text": text, "end": math.inf}]):
+        found += meetings_of(part["text"], start, part["end"])
+        start = part["end"]
+    return found
 
 
 def describe(motion: DuetMotion) -> dict[str, Any]:

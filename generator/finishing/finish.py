@@ -16,7 +16,13 @@ from generator.finishing.figure import Figure
 from generator.finishing.hands import close_touches
 from generator.finishing.resample import resample, resample_labels, resample_rotations
 from generator.finishing.settings import Finishing
-from generator.finishing.touches import Pair, find_touches, nearest_touches
+from generator.finishing.touches import (
+    Meeting,
+    Pair,
+    find_touches,
+    nearest_touches,
+    without_conflicts,
+)
 from generator.motion import Contact, DuetMotion, Motion
 from robots.errors import MotionError
 from robots.skeleton import FloatArray, Skeleton
@@ -69,7 +75,7 @@ def finish(
     fps: float = 30.0,
     settings: Finishing | None = None,
     skeletons: tuple[Skeleton, Skeleton] | None = None,
-    expected: Sequence[Pair] = (),
+    expected: Sequence[Meeting | Pair] = (),
 ) -> DuetMotion:
     """Return the motion as two bodies could have moved it; see :func:`finish_with_changes`."""
     return finish_with_changes(
@@ -83,7 +89,7 @@ def finish_with_changes(
     fps: float = 30.0,
     settings: Finishing | None = None,
     skeletons: tuple[Skeleton, Skeleton] | None = None,
-    expected: Sequence[Pair] = (),
+    expected: Sequence[Meeting | Pair] = (),
 ) -> tuple[DuetMotion, Changes]:
     """Return the motion as two bodies could have moved it, and what was changed.
 
@@ -96,8 +102,8 @@ def finish_with_changes(
         settings: Bounds; the defaults if not given.
         skeletons: Bodies of a and b, if they are known; fitted to the motion otherwise.
         expected: Points of a and b that are meant to touch somewhere in the motion, for example
-            ``[("right_hand", "right_hand")]``. Without them and without labelled contacts, touches
-            of two hands are looked for.
+            ``[("right_hand", "right_hand")]``, or also when. Touches of two hands are looked for
+            besides, where the motion has no labelled contacts.
 
     Raises:
         MotionError: The frame rate is absurd.
@@ -169,14 +175,15 @@ def _contacts(
     figures: tuple[Figure, Figure],
     fps: float,
     settings: Finishing,
-    expected: Sequence[Pair],
+    expected: Sequence[Meeting | Pair],
 ) -> tuple[Contact, ...]:
-    """Return the touches that are meant: labelled, else expected, else found."""
+    """Return the touches that are meant: labelled, else expected and found ones."""
     if motion.contacts:
         return motion.contacts
-    if expected:
-        return nearest_touches(figures, fps, expected)
-    return find_touches(figures, fps, settings) if settings.hands and settings.detect else ()
+    found = find_touches(figures, fps, settings) if settings.hands and settings.detect else ()
+    meetings = [m if isinstance(m, Meeting) else Meeting(*m) for m in expected]
+    missing = [m for m in meetings if not any(m.met_by(touch) for touch in found)]
+    return without_conflicts([*nearest_touches(figures, fps, missing), *found])
 
 
 def _breathing(person: Motion, skeleton: Skeleton) -> float:

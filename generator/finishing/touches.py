@@ -8,8 +8,10 @@ the two do can name the pairs of points instead; each then touches where it come
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,8 +39,35 @@ _NEAREST = 0.03
 _LOOK = 0.05
 """Low-pass before speeds are judged, s."""
 
+_OTHER = {"left": "right", "right": "left"}
+
 Pair = tuple[str, str]
 """A point of person a and one of person b."""
+
+
+class Meeting(NamedTuple):
+    """Two points that are meant to touch at some time."""
+
+    a: str
+    """Point of person a."""
+    b: str
+    """Point of person b."""
+    start: float = 0.0
+    """Earliest moment, s."""
+    end: float = math.inf
+    """Latest moment, s."""
+    either: bool = False
+    """Whether their mirror images may touch instead."""
+
+    @property
+    def pair(self) -> Pair:
+        """Its points."""
+        return self.a, self.b
+
+    def met_by(self, touch: Contact) -> bool:
+        """Return whether a touch is of these points and in their time."""
+        pairs = {self.pair, mirrored(self.pair)} if self.either else {self.pair}
+        return (touch.a, touch.b) in pairs and touch.start <= self.end and self.start <= touch.end
 
 
 def find_touches(
@@ -60,19 +89,40 @@ def find_touches(
             if at.stop - at.start >= _SHORTEST * fps:
                 contact = _contact(pair, distance, at, fps)
                 found.append((float(distance[at].min()), contact))
-    return _without_conflicts([contact for _, contact in sorted(found, key=lambda f: f[0])])
+    return without_conflicts([contact for _, contact in sorted(found, key=lambda f: f[0])])
 
 
 def nearest_touches(
-    figures: tuple[Figure, Figure], fps: float, pairs: Sequence[Pair]
+    figures: tuple[Figure, Figure], fps: float, meetings: Sequence[Meeting]
 ) -> tuple[Contact, ...]:
-    """Return one touch for each pair of points: where they are nearest to each other."""
+    """Return one touch for each meeting: where its points are nearest to each other."""
     touches = []
-    for pair in pairs:
-        paths = [figure.point(name) for figure, name in zip(figures, pair, strict=True)]
-        between = gaussian_filter1d(paths[1] - paths[0], _LOOK * fps, axis=0, mode="nearest")
-        touches.append(_contact(pair, np.linalg.norm(between, axis=1), slice(None), fps))
+    for meeting in meetings:
+        options = [meeting.pair, *([mirrored(meeting.pair)] if meeting.either else [])]
+        courses = [_course(figures, pair, fps) for pair in options]
+        last = len(courses[0]) - 1
+        first = min(round(meeting.start * fps), last)
+        span = slice(first, max(first, round(min(meeting.end * fps, last))) + 1)
+        best = int(np.argmin([course[span].min() for course in courses]))
+        touches.append(_contact(options[best], courses[best], span, fps))
     return tuple(touches)
+
+
+def _course(figures: tuple[Figure, Figure], pair: Pair, fps: float) -> FloatArray:
+    """Return the distance of two points over time ``[T]`` m."""
+    paths = [figure.point(name) for figure, name in zip(figures, pair, strict=True)]
+    between = gaussian_filter1d(paths[1] - paths[0], _LOOK * fps, axis=0, mode="nearest")
+    return np.linalg.norm(between, axis=1)
+
+
+def mirrored(pair: Pair) -> Pair:
+    """Return a pair of points as in a mirror."""
+    return _mirrored(pair[0]), _mirrored(pair[1])
+
+
+def _mirrored(name: str) -> str:
+    side, _, rest = name.partition("_")
+    return f"{_OTHER[side]}_{rest}" if side in _OTHER else name
 
 
 def _contact(pair: Pair, distance: FloatArray, at: slice, fps: float) -> Contact:
@@ -99,7 +149,7 @@ def _radius(name: str) -> float:
     return max(sizes, default=0.08)
 
 
-def _without_conflicts(contacts: list[Contact]) -> tuple[Contact, ...]:
+def without_conflicts(contacts: Sequence[Contact]) -> tuple[Contact, ...]:
     """Return the contacts, the first ones first, that leave each hand one partner at a time."""
     kept: list[Contact] = []
     for contact in contacts:
