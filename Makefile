@@ -10,7 +10,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 WORKERS ?= auto
 PARALLEL := -n $(WORKERS) --maxprocesses=8 --dist=worksteal
 
-.PHONY: help demo test test-fast check format bench bench-track clean
+.PHONY: help demo test test-fast check format bench bench-track results clean
 
 help:
 	@echo "make demo       install, then turn a sentence into two moving puppets (out/)"
@@ -19,6 +19,7 @@ help:
 	@echo "make check      formatting, lint, types, package borders"
 	@echo "make bench      benchmarks, one figure each"
 	@echo "make bench-track  hours: controllers on 126 duets; may be stopped and goes on"
+	@echo "make results    hours: every figure of docs/results.md; may be stopped and goes on"
 	@echo "make clean      remove .venv and everything built"
 
 demo: $(VENV)/.installed
@@ -55,6 +56,13 @@ bench-track: $(VENV)/.installed-dev
 	$(BIN)/python -m benchmarks.tracking $(TRACK)
 	$(BIN)/python -m benchmarks.tracking --ablation
 	$(BIN)/python -m benchmarks.tracking.table
+
+# CLIPS=DIR adds the spectra of real duets.
+results: $(VENV)/.installed-dev
+	@if [ -n "$(CLIPS)" ]; then $(BIN)/python -m benchmarks.results --clips "$(CLIPS)"; fi
+	$(BIN)/python -m benchmarks.results --train-ablations
+	$(BIN)/python -m benchmarks.results
+	$(BIN)/python -m benchmarks.results.table
 
 clean:
 	rm -rf $(VENV) build dist out .pytest_cache .ruff_cache .hypothesis .import_linter_cache

@@ -14,9 +14,10 @@ from typing import Any
 
 from generator.data import BatchConfig, BatchStream, Clip, ClipCache, ClipSet, cached, measure
 from generator.evaluation import EvaluationConfig, Watch, evaluate
-from generator.evaluator import InterClip, load_evaluator, load_release_evaluator, save_evaluator
+from generator.evaluator import InterClip, load_evaluator, save_evaluator
 from generator.intergen import load_model
 from generator.model_folder import HEADER, read_header
+from generator.release_evaluator import load_release_evaluator
 from generator.text.encoder import default_encoder
 from generator.training.config import RunConfig, SourceConfig, load_config
 from generator.training.contrastive import ContrastiveConfig, train_evaluator

@@ -1,8 +1,10 @@
 """The contrastive evaluator InterCLIP: motions and sentences in one space, near if they match.
 
-The metrics of Sec. 5 are distances in this space. Two text paths: the release's own (byte-pair
-tokens through a transformer), so that its published evaluator can be loaded; and vectors of any
-frozen sentence encoder through two layers, which is what can be trained on little data.
+The metrics of Sec. 5 are distances in this space. Three text paths: the release's own (byte-pair
+tokens through a transformer), so that its published evaluator can be loaded
+(:mod:`generator.release_evaluator`); vectors of any frozen sentence encoder through two layers, and
+the states of its tokens through a small transformer, which are what can be trained on little data.
+The last one reads who does what to whom, of which a mean over words keeps little.
 """
 
 from __future__ import annotations
@@ -19,23 +21,23 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from generator.architecture import FEATURES
-from generator.checkpoint import read_lightning, text_kind
+from generator.checkpoint import text_kind
 from generator.denoiser import sinusoids
 from generator.model_folder import from_json, require_format
-from generator.release_keys import Shapes, post_norm_shapes
 from generator.text.clip import sentence_end
 from generator.text.clip_tokenizer import CONTEXT, ClipTokenizer, find_vocabulary
-from generator.text.encoder import SentenceEncoder, default_encoder
-from generator.weights import adopt, load_weights, require, save_weights
+from generator.text.encoder import SentenceEncoder, packaged_encoder
+from generator.weights import adopt, load_weights, save_weights
 from robots.errors import CheckpointError, SpecError
 
 CONTACTS = 4
 """Foot contacts at the end of each person's features, which the evaluator does not see."""
 LONGEST = 2000
 """Positions that its table holds: the query and the frames."""
+TEXTS = ("tokens", "sentence", "states")
+"""Text paths."""
 FORMAT = "pasdedeux-interclip"
 VERSION = 1
-_TEXT_KEYS = ("positional_embedding", "token_embedding.", "textTransEncoder.", "text_ln.", "out.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,28 +62,35 @@ class EvaluatorConfig:
     """Width of the common space."""
     dropout: float = 0.1
     """While training."""
-    text: Literal["tokens", "sentence"] = "tokens"
-    """The release's text path, or vectors of a frozen sentence encoder."""
+    text: Literal["tokens", "sentence", "states"] = "tokens"
+    """The release's text path, or vectors of a frozen sentence encoder: one a sentence, or the
+    states of its tokens one after the other."""
     text_width: int = 768
-    """Width of token states or of sentence vectors."""
+    """Width of token states or of sentence vectors; with ``states``, of all of a sentence."""
+    text_tokens: int = 1
+    """Tokens of a sentence, with ``states``."""
+    text_layers: int = 2
+    """Layers that read these."""
     vocabulary: int = 49408
     """Tokens, for the release's text path."""
 
     def __post_init__(self) -> None:
         """Validate."""
         numbers = ("width", "layers", "heads", "feedforward", "embedding", "text_width")
-        for name in numbers:
+        for name in (*numbers, "text_tokens", "text_layers"):
             if not isinstance(getattr(self, name), int) or getattr(self, name) < 1:
                 raise SpecError(f"{name} is {getattr(self, name)!r}", where="evaluator")
         if self.width % self.heads or self.width % 2 or self.features <= CONTACTS:
             raise SpecError(f"width {self.width} with {self.heads} heads", where="evaluator")
-        if self.text not in ("tokens", "sentence"):
-            raise SpecError(
-                f"text is {self.text!r}", where="evaluator", allowed="tokens or sentence"
-            )
+        if self.text not in TEXTS:
+            raise SpecError(f"text is {self.text!r}", where="evaluator", allowed=", ".join(TEXTS))
+        if self.text_width % self.text_tokens:
+            raise SpecError(f"{self.text_tokens} tokens in {self.text_width}", where="evaluator")
 
 
-def _transformer(width: int, config: EvaluatorConfig) -> nn.TransformerEncoder:
+def _transformer(
+    width: int, config: EvaluatorConfig, layers: int | None = None
+) -> nn.TransformerEncoder:
     layer = nn.TransformerEncoderLayer(
         width,
         config.heads,
@@ -90,7 +99,7 @@ def _transformer(width: int, config: EvaluatorConfig) -> nn.TransformerEncoder:
         activation="gelu",
         batch_first=True,
     )
-    return nn.TransformerEncoder(layer, config.layers, enable_nested_tensor=False)
+    return nn.TransformerEncoder(layer, layers or config.layers, enable_nested_tensor=False)
 
 
 class MotionEncoder(nn.Module):
@@ -164,6 +173,39 @@ class SentenceText(nn.Sequential):
         )
 
 
+class StatesText(nn.Module):
+    """The states of a frozen encoder's tokens through a transformer; a learned query reads them."""
+
+    def __init__(self, config: EvaluatorConfig) -> None:
+        """Make an untrained path."""
+        super().__init__()
+        self.states = config.text_width // config.text_tokens
+        self.embed = nn.Linear(self.states, config.width)
+        self.places = nn.Parameter(0.02 * torch.randn(1 + config.text_tokens, config.width))
+        self.transformer = _transformer(config.width, config, config.text_layers)
+        self.out_ln = nn.LayerNorm(config.width)
+        self.out = nn.Linear(config.width, config.embedding)
+
+    def forward(self, vectors: Tensor) -> Tensor:
+        """Return ``[B, E]`` for token states ``[B, L * C]``; a token of zeros is none."""
+        tokens = vectors.unflatten(-1, (-1, self.states))
+        there = (tokens != 0).any(dim=-1)
+        longest = max(int(there.sum(dim=1).max()), 1)
+        tokens, there = tokens[:, :longest], there[:, :longest]
+        query = self.places[:1].expand(len(tokens), 1, -1)
+        words = self.embed(tokens) + self.places[1 : longest + 1]
+        padding = torch.cat([torch.zeros_like(there[:, :1]), ~there], dim=1)
+        states = self.transformer(torch.cat([query, words], dim=1), src_key_padding_mask=padding)
+        return self.out(self.out_ln(states[:, 0]))
+
+
+_TEXT_PATHS: dict[str, type[nn.Module]] = {
+    "tokens": TokenText,
+    "sentence": SentenceText,
+    "states": StatesText,
+}
+
+
 class InterClip(nn.Module):
     """The evaluator.
 
@@ -171,7 +213,7 @@ class InterClip(nn.Module):
         config: Its size.
         motion_encoder: Raw features to the common space.
         text_encoder: Tokens, or vectors of ``sentences``, to the common space.
-        sentences: The frozen sentence encoder, if the text path is ``sentence``.
+        sentences: The frozen sentence encoder, if the text path is ``sentence`` or ``states``.
         vocabulary: File of CLIP's vocabulary, if known, for the text path ``tokens``.
     """
 
@@ -188,7 +230,7 @@ class InterClip(nn.Module):
         super().__init__()
         self.config = config
         self.motion_encoder = MotionEncoder(config)
-        self.text_encoder = TokenText(config) if config.text == "tokens" else SentenceText(config)
+        self.text_encoder = _TEXT_PATHS[config.text](config)
         self.latent_scale = nn.Parameter(torch.full((1,), math.sqrt(1 / 0.07)))
         self.__dict__["sentences"] = sentences
         self.vocabulary = vocabulary
@@ -248,112 +290,6 @@ class InterClip(nn.Module):
         return (ways[0] + ways[1]) / 2
 
 
-def release_shapes(config: EvaluatorConfig) -> Shapes:
-    """Return every key of the release's evaluator with its shape."""
-    width, text = config.width, config.text_width
-    people = 2 * (config.features - CONTACTS)
-    return (
-        {
-            "positional_embedding": (CONTEXT, text),
-            "latent_scale": (1,),
-            "motion_encoder.query_token": (1, width),
-            "motion_encoder.embed_motion.weight": (width, people),
-            "motion_encoder.embed_motion.bias": (width,),
-            "motion_encoder.sequence_pos_encoder.pe": (LONGEST, width),
-            "motion_encoder.out_ln.weight": (width,),
-            "motion_encoder.out_ln.bias": (width,),
-            "motion_encoder.out.weight": (config.embedding, width),
-            "motion_encoder.out.bias": (config.embedding,),
-            "token_embedding.weight": (config.vocabulary, text),
-            "text_ln.weight": (text,),
-            "text_ln.bias": (text,),
-            "out.weight": (config.embedding, text),
-            "out.bias": (config.embedding,),
-        }
-        | post_norm_shapes("motion_encoder.transformer", config.layers, width, config.feedforward)
-        | post_norm_shapes("textTransEncoder", config.layers, text, config.feedforward)
-    )
-
-
-def load_release_evaluator(
-    path: str | Path,
-    *,
-    text: bool = True,
-    heads: int = 8,
-    vocabulary: str | Path | None = None,
-) -> InterClip:
-    """Return the release's evaluator from its Lightning checkpoint, every key and shape checked.
-
-    Args:
-        path: The file.
-        text: Whether it must hold the text path; without, only motions can be embedded.
-        heads: Attention heads, which no shape tells.
-        vocabulary: File of CLIP's vocabulary; looked for in installed packages by default.
-
-    Raises:
-        CheckpointError: The file is not such a checkpoint; the text names the key.
-    """
-    where = Path(path).name
-    state = read_lightning(Path(path))
-    if not text:
-        state = {key: value for key, value in state.items() if not key.startswith(_TEXT_KEYS)}
-    config = _infer(state, heads, where)
-    shapes = release_shapes(config)
-    if not text:
-        shapes = {key: shape for key, shape in shapes.items() if not key.startswith(_TEXT_KEYS)}
-    require(shapes, state, where=where)
-    table = state["motion_encoder.sequence_pos_encoder.pe"].float()
-    if not torch.allclose(table, sinusoids(*table.shape), atol=1e-3):
-        raise CheckpointError(
-            "key 'motion_encoder.sequence_pos_encoder.pe' is not the table of sinusoids",
-            where=where,
-        )
-    model = InterClip(config, vocabulary=vocabulary)
-    own = {_own_key(key): value.clone() for key, value in state.items()}
-    if not text:
-        own |= {k: v for k, v in model.state_dict().items() if k.startswith("text_encoder.")}
-    adopt(model, own, where=where)
-    return model.eval()
-
-
-def _own_key(key: str) -> str:
-    """Return the name in :class:`InterClip` of a key of the release."""
-    if key == "motion_encoder.sequence_pos_encoder.pe":
-        return "motion_encoder.positions"
-    if key.startswith("textTransEncoder."):
-        return "text_encoder.transformer." + key.removeprefix("textTransEncoder.")
-    return f"text_encoder.{key}" if key.startswith(_TEXT_KEYS) else key
-
-
-def _infer(state: dict[str, Tensor], heads: int, where: str) -> EvaluatorConfig:
-    def shape(key: str) -> tuple[int, int]:
-        if key not in state:
-            raise CheckpointError(f"key '{key}' is missing", where=where)
-        if state[key].dim() != 2:
-            raise CheckpointError(
-                f"key '{key}' has shape {tuple(state[key].shape)}", where=where, allowed="a matrix"
-            )
-        return (state[key].shape[0], state[key].shape[1])
-
-    layers = "motion_encoder.transformer.layers."
-    numbers = [int(key.split(".")[3]) for key in state if key.startswith(layers)]
-    width, inputs = shape("motion_encoder.embed_motion.weight")
-    tokens = shape("token_embedding.weight") if "token_embedding.weight" in state else (1, 768)
-    try:
-        return EvaluatorConfig(
-            width=width,
-            layers=1 + max(numbers, default=-1),
-            heads=heads,
-            feedforward=shape(f"{layers}0.linear1.weight")[0],
-            features=inputs // 2 + CONTACTS,
-            embedding=shape("motion_encoder.out.weight")[0],
-            text_width=tokens[1],
-            vocabulary=tokens[0],
-        )
-    except SpecError as error:
-        raise CheckpointError(str(error), where=where) from error
-
-
 def save_evaluator(model: InterClip, folder: str | Path) -> str:
     """Write an evaluator as a folder of safetensors and JSON, whole or not at all.
 
@@ -386,9 +322,9 @@ def load_evaluator(folder: str | Path, *, sentences: SentenceEncoder | None = No
     where = str(folder)
     require_format(header, FORMAT, VERSION, where)
     kind = header.get("text_encoder", "")
-    if sentences is None and kind == "minilm":
-        sentences = default_encoder()
-    elif sentences is None and kind:
+    if sentences is None and kind:
+        sentences = packaged_encoder(kind)
+    if sentences is None and kind:
         raise CheckpointError(
             f"it was trained with the text encoder '{kind}', which does not come with it",
             where=where,

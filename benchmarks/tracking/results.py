@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from robots.errors import MotionFileError
 
 Record = dict[str, Any]
 """One line: what was tracked and how, then the keys of ``track.json``."""
-Key = tuple[str, str, str, str]
+Key = tuple[str, ...]
 """Set, clip, controller, hash of settings and recipe."""
 
 
@@ -23,9 +24,9 @@ def key_of(record: Record) -> Key:
 class Results:
     """An append-only file of records. The last of several with one key counts."""
 
-    def __init__(self, path: Path) -> None:
-        """Take the file, which need not exist yet."""
-        self.path = path
+    def __init__(self, path: Path, key: Callable[[Record], Key] = key_of) -> None:
+        """Take the file, which need not exist yet, and what tells its records apart."""
+        self.path, self._key = path, key
 
     def read(self) -> dict[Key, Record]:
         """Return all whole records; a line that was cut off when the writer died is left out.
@@ -40,8 +41,8 @@ class Results:
         for number, line in enumerate(lines[:-1], start=1):
             try:
                 record = json.loads(line)
-                records.pop(key_of(record), None)  # so that the order is that of the last lines
-                records[key_of(record)] = record
+                records.pop(self._key(record), None)  # so that the order is that of the last lines
+                records[self._key(record)] = record
             except (ValueError, KeyError, TypeError) as error:
                 raise MotionFileError(
                     "is not a result", where=f"{self.path}:{number}", hint="delete that line"

@@ -87,7 +87,7 @@ def _by_controller(of: str, records: Sequence[Record]) -> str:
             texts.append(f"{cell.text}{mark}" if cell else "")
         unit = f", {row.unit}" if row.unit else ""
         lines.append([f"{row.name}{unit}", str(bar or ""), *texts])
-    return _markdown(lines)
+    return markdown(lines)
 
 
 def _mark(kept: bool) -> str:
@@ -128,7 +128,7 @@ def ablation(records: Sequence[Record]) -> str:
     failed = failures([{**r, "controller": r["variant"]} for r in records])
     return "\n\n".join(
         [
-            _markdown(lines),
+            markdown(lines),
             f"Controller {CONTROLLER} on {clips}.",
             f"Failures:\n\n{failed}",
             _provenance(records),
@@ -146,7 +146,8 @@ def _provenance(records: Sequence[Record]) -> str:
     )
 
 
-def _markdown(lines: Iterable[Sequence[str]]) -> str:
+def markdown(lines: Iterable[Sequence[str]]) -> str:
+    """Return a table; the first line is its head."""
     head, *body = [f"| {' | '.join(line)} |" for line in lines]
     return "\n".join([head, "|" + "---|" * (head.count("|") - 1), *body])
 

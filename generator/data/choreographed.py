@@ -118,6 +118,18 @@ def drawn_style(interaction: str, split: Split, rng: np.random.Generator) -> Sty
     return Style(**values, handedness=hand, swap=bool(rng.random() < 0.5))
 
 
+@dataclass(frozen=True, slots=True)
+class Performance:
+    """A duet with what decided it."""
+
+    motion: DuetMotion
+    """The duet, with the first of its sentences."""
+    style: Style
+    """Its manner: who leads, with which hand, how."""
+    texts: tuple[str, ...]
+    """Its sentences."""
+
+
 class Choreographed:
     """``count`` duets: every interaction in turn, each performance and its sentences its own.
 
@@ -199,8 +211,17 @@ class Choreographed:
         Raises:
             IndexError: There are not that many.
         """
+        return self.performance(index).motion
+
+    def performance(self, index: int) -> Performance:
+        """Return the motion of a clip with the style and the sentences it was made with.
+
+        Raises:
+            IndexError: There are not that many.
+        """
         motion, style, rng = self._performed(index)
-        return replace(motion, text=self._sentences(self.interaction(index), style, rng)[0])
+        texts = self._sentences(self.interaction(index), style, rng)
+        return Performance(replace(motion, text=texts[0]), style, texts)
 
     def _performed(self, index: int) -> tuple[DuetMotion, Style, np.random.Generator]:
         """Return a motion that passes the choreographer's own checks, its style, and what is next.

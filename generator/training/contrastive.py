@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from generator.architecture import FEATURES
 from generator.data import Batch, BatchStream, FeatureStatistics
 from generator.evaluator import CONTACTS, EvaluatorConfig, InterClip
-from generator.schedule import warmup_cosine
-from generator.text.encoder import SentenceEncoder
-from generator.training.draws import seed_dropout, seed_weights
-from generator.training.learner import TrainingDiverged
+from generator.text.encoder import SentenceEncoder, TokenEncoder
+from generator.training.draws import seed_weights
+from generator.training.fit import Fit, fit
 from generator.training.texts import TextTable, text_width
 from robots.errors import SpecError
 
@@ -34,7 +34,7 @@ class ContrastiveConfig:
     """
 
     architecture: EvaluatorConfig = field(default_factory=lambda: SMALL)
-    """Size; its text path must be that of a sentence encoder."""
+    """Size; its text path must be one of a frozen sentence encoder."""
     steps: int = 1000
     """Length of the run."""
     learning_rate: float = 5e-4
@@ -50,11 +50,11 @@ class ContrastiveConfig:
         """Validate."""
         if self.steps < 1 or self.learning_rate <= 0:
             raise SpecError(f"{self.steps} steps at {self.learning_rate}", where="evaluator")
-        if self.architecture.text != "sentence":
+        if self.architecture.text == "tokens":
             raise SpecError(
-                "an evaluator is trained on sentence vectors here",
+                "an evaluator is trained on what a frozen sentence encoder gives here",
                 where="evaluator.text",
-                allowed="sentence",
+                allowed="sentence, states",
             )
 
 
@@ -64,6 +64,7 @@ def train_evaluator(
     encoder: SentenceEncoder,
     config: ContrastiveConfig | None = None,
     *,
+    state: Path | None = None,
     report: Callable[[int, float, float], None] | None = None,
 ) -> InterClip:
     """Return an evaluator that was trained on a stream of clips.
@@ -77,43 +78,44 @@ def train_evaluator(
         statistics: Of these features.
         encoder: Frozen sentence encoder.
         config: How.
+        state: Folder of what to go on from, if there is something (:func:`fit`).
         report: Told the step, the loss and the share of motions whose sentence is the nearest one
             of the batch, every 50 steps.
 
     Raises:
         SpecError: The features are canonical.
         TrainingDiverged: The loss is no longer finite.
+        CheckpointError: The state is damaged or of other settings.
     """
     config = config or ContrastiveConfig()
     if stream.config.representation != "non_canonical" or len(statistics.mean) != FEATURES:
         raise SpecError("an evaluator sees non-canonical features", where="evaluator")
     seed_weights(config.seed)
-    architecture = replace(config.architecture, text_width=text_width(encoder))
-    model = InterClip(architecture, sentences=encoder)
-    texts = TextTable(encoder)
-    optimiser = torch.optim.AdamW(
-        model.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
+    tokens = encoder.tokens if isinstance(encoder, TokenEncoder) else 1
+    model = InterClip(
+        replace(config.architecture, text_width=text_width(encoder), text_tokens=tokens),
+        sentences=encoder,
     )
+    texts = TextTable(encoder)
     mean, std = (torch.tensor(x, dtype=torch.float32) for x in (statistics.mean, statistics.std))
-    model.train()
-    for step in range(config.steps):
+
+    def pairs(step: int) -> tuple[Batch, Tensor, Tensor]:
         batch = stream.batch(step)
-        rate = warmup_cosine(step, config.steps / 10, config.steps) * config.learning_rate
-        for group in optimiser.param_groups:
-            group["lr"] = rate
-        seed_dropout(config.seed, step, 0)
-        vectors = torch.from_numpy(texts.vectors(batch.texts))
         motion = ((torch.from_numpy(batch.x_raw).unflatten(-1, (2, -1)) - mean) / std).flatten(-2)
-        loss = model.loss(motion, torch.from_numpy(batch.lengths), vectors, same_texts(batch))
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        norm = nn.utils.clip_grad_norm_(list(model.parameters()), config.clip)
-        if not bool(torch.isfinite(norm)):
-            raise TrainingDiverged(f"the evaluator's gradient is not finite at step {step}")
-        optimiser.step()
-        if report is not None and ((step + 1) % 50 == 0 or step + 1 == config.steps):
-            report(step + 1, float(loss.detach()), _nearest_share(model, motion, batch, vectors))
-            model.train()
+        return batch, motion, torch.from_numpy(texts.vectors(batch.texts))
+
+    def loss(step: int) -> Tensor:
+        batch, motion, vectors = pairs(step)
+        return model.loss(motion, torch.from_numpy(batch.lengths), vectors, same_texts(batch))
+
+    def tell(step: int, loss: float) -> None:
+        if report is not None:
+            batch, motion, vectors = pairs(step - 1)
+            report(step, loss, _nearest_share(model, motion, batch, vectors))
+
+    how = Fit(config.steps, config.learning_rate, config.weight_decay, config.clip, config.seed)
+    identity = f"evaluator {config} {stream.config} {stream.epoch} {statistics.mean.sum():.6f}"
+    fit(model, loss, how, state=state, identity=identity, report=tell)
     fold(model, mean, std)
     return model.eval()
 

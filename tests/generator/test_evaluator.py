@@ -14,10 +14,9 @@ from generator.evaluator import (
     EvaluatorConfig,
     InterClip,
     load_evaluator,
-    load_release_evaluator,
-    release_shapes,
     save_evaluator,
 )
+from generator.release_evaluator import load_release_evaluator, release_shapes
 from robots.errors import CheckpointError, SpecError
 
 torch.set_num_threads(1)
@@ -204,3 +203,26 @@ def test_what_does_not_fit_is_refused():
         tiny().embed_motion(torch.zeros(1, 2000, 20), torch.tensor([2000]))
     with pytest.raises(CheckpointError):
         tiny().prepare(["abc"])
+
+
+def test_token_states_are_read_in_their_order_and_padding_is_not_read():
+    torch.manual_seed(3)
+    config = EvaluatorConfig(
+        width=16, layers=1, heads=2, feedforward=32, features=10, embedding=8, text="states",
+        text_width=5 * 6, text_tokens=6, dropout=0.0,
+    )  # fmt: skip
+    model = InterClip(config).eval()
+    tokens = torch.randn(3, 5)
+    short = torch.zeros(1, 30)
+    short[0, :15] = tokens.flatten()
+    long = torch.randn(1, 30)
+    alone, beside = model.embed_text(short), model.embed_text(torch.cat([short, long]))
+    assert torch.allclose(alone[0], beside[0], atol=1e-5)
+    turned = short.clone()
+    turned[0, :15] = tokens.flip(0).flatten()
+    assert not torch.allclose(model.embed_text(turned), alone, atol=1e-3)
+
+
+def test_states_that_do_not_fill_the_tokens_are_refused():
+    with pytest.raises(SpecError, match="tokens"):
+        EvaluatorConfig(text="states", text_width=31, text_tokens=6)

@@ -1,0 +1,1 @@
+"""How good the generators are, by the measures of the paper and of bodies; see docs/results.md."""

@@ -1,0 +1,88 @@
+"""Measure what docs/results.md compares.
+
+    python -m benchmarks.results [--only "ground truth" ...] [--limit 50] [--minutes 30]
+    python -m benchmarks.results --train-ablations [--minutes 600]
+    python -m benchmarks.results.table
+
+Everything is kept in out/results: judges, clips, motions, and one line of JSON per row, split and
+repetition. What is there already is not done again, so a run may be stopped in any way and started
+again. A model that is trained further is measured anew.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from benchmarks.results.ablations import load_ablations, train_all
+from benchmarks.results.judges import judges
+from benchmarks.results.real import CLIPS, keep_spectra
+from benchmarks.results.rows import FILE, load_plan
+from benchmarks.results.run import Bench, Clock, OutOfTime
+from benchmarks.results.takes import Makers, Models
+from benchmarks.tracking.run import note
+from generator.threads import thread_limit
+from robots.errors import DuetError
+
+OUT = Path("out/results")
+
+
+def main() -> int:
+    """Parse, run, and return the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.results", description=__doc__)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument(
+        "--only", action="append", metavar="ROW", help="this row, or this ablation (repeatable)"
+    )
+    parser.add_argument("--limit", type=int, help="most clips of a split, to try things out")
+    parser.add_argument("--minutes", type=float, help="stop after so much time; run again to go on")
+    parser.add_argument(
+        "--train-ablations", action="store_true", help="train the models of Tables 3 and 4 instead"
+    )
+    parser.add_argument(
+        "--clips", type=Path, metavar="DIR", help="take the spectra of these real duets instead"
+    )
+    parser.add_argument("--plan", type=Path, default=FILE, help="other rows and sizes")
+    parser.add_argument("--out", type=Path, default=OUT, help=f"folder (default: {OUT})")
+    parser.add_argument("--threads", type=int, default=1, help="threads (default: 1)")
+    args = parser.parse_args()
+    if args.limit is not None and args.limit < 2:
+        parser.error("--limit takes 2 or more")
+    try:
+        with thread_limit(args.threads):
+            if args.clips is not None:
+                count = keep_spectra(args.clips, args.out / f"{CLIPS}.npz")
+                note(f"spectra of {count} clips")
+            elif args.train_ablations:
+                _train(args)
+            else:
+                _measure(args)
+    except OutOfTime as error:
+        note(str(error))
+    except DuetError as error:
+        note(str(error))
+        return error.exit_code
+    except KeyboardInterrupt:
+        note("stopped; run again to go on")
+        return 130
+    return 0
+
+
+def _train(args: argparse.Namespace) -> None:
+    clock = Clock(args.minutes)
+    done = train_all(load_ablations(), only=args.only, say=note, stop=lambda: clock.over)
+    note("all ablations are trained" if done else "stopped; run again to go on")
+
+
+def _measure(args: argparse.Namespace) -> None:
+    plan = load_plan(args.plan)
+    rows = plan.chosen(args.only)
+    clock = Clock(args.minutes)
+    who = judges(args.out / "judges", plan.evaluator, note, clock.check)
+    makers = Makers(args.out / "takes", plan.protocol, Models(plan.protocol.fps))
+    Bench(plan, args.out, who, makers, clock, args.limit).run(rows)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
