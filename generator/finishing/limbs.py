@@ -69,7 +69,8 @@ def _fold(
     along = unit(first)
     axis = unit(axis - along * dot(axis, along)[:, None])
     reach = np.clip(distance, np.abs(a - b) + 1e-6, a + b - 1e-6)
-    bend = np.arccos(np.clip((reach**2 - a**2 - b**2) / (2 * a * b), -1.0, 1.0))
+    square = np.maximum(2 * a * b, 1e-12)  # a limb of no length has no bend
+    bend = np.arccos(np.clip((reach**2 - a**2 - b**2) / square, -1.0, 1.0))
     now = np.arctan2(sine * a * b, dot(first, second))
     return axis, bend - now
 

@@ -56,7 +56,7 @@ class Steering:
     """Changes a prediction ``[B, T, 2F]``, normalised, so that it is possible."""
     start: Floats | None = None
     """``[B, T, 2F]``, normalised: a motion to vary."""
-    strength: float = 0.6
+    strength: float = 0.7
     """Share of the diffusion that is undone when one is varied: 0 keeps it, 1 forgets it."""
     avoid: tuple[Floats, ...] = ()
     """Motions ``[B, T, 2F]``, normalised, to draw away from."""

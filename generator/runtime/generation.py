@@ -23,6 +23,8 @@ from robots.skeleton import FloatArray
 
 SECONDS = 6.5
 """Length of a part if nothing else decides it: half of the choreographer's duets are shorter."""
+FINISHED_FPS = 30.0
+"""Frames per second that a motion has in the end; a motion file holds so many frames."""
 THEN = ", then "
 """What joins the sentences of a sequence."""
 
@@ -79,7 +81,7 @@ def generate(
         SpecError: A setting is out of range.
     """
     texts = (text, *request.then)
-    studio = open_studio(texts, request, encoder)
+    studio = open_studio(texts, request, seed, encoder)
     facts = facts_of(studio)
     parts = part_frames(studio, len(texts))
     overlap = overlap_of(studio.model.sampling.frames, studio.model.provenance.fps)
@@ -98,16 +100,22 @@ def generate(
 
 
 def open_studio(
-    texts: tuple[str, ...], request: DiffusionRequest, encoder: SentenceEncoder | None = None
+    texts: tuple[str, ...],
+    request: DiffusionRequest,
+    seed: int = 0,
+    encoder: SentenceEncoder | None = None,
 ) -> Studio:
-    """Return a model with its encoder and sampler.
+    """Return a model with its encoder and sampler, after a look at what is to be drawn.
 
     Raises:
+        SpecError: The seed is negative.
         PromptError: A sentence is empty.
         CheckpointError: The model is missing or damaged.
     """
     if not all(text.strip() for text in texts):
         raise PromptError("the sentence is empty")
+    if seed < 0:
+        raise SpecError(f"{seed}", where="--seed", allowed="0 or more")
     model = Portable.load(chosen_folder(request.weights), threads=request.threads or 1)
     if encoder is None:
         encoder = packaged_encoder(model.text_encoder)
@@ -166,8 +174,9 @@ def part_frames(studio: Studio, count: int) -> list[int]:
         parts = [min(usual, longest), *[min(usual, longest - overlap)] * (count - 1)]
         if count == 1 and (taken := _take_frames(studio)):
             parts = [min(taken, longest)]
-    if sum(parts) > MAX_FRAMES:
-        raise SpecError(f"{sum(parts)} frames", where="length", allowed=f"up to {MAX_FRAMES}")
+    played = round(sum(parts) * max(1.0, FINISHED_FPS / studio.fps))
+    if played > MAX_FRAMES:
+        raise SpecError(f"{played} frames", where="length", allowed=f"up to {MAX_FRAMES}")
     several, takes = len(plan(parts, longest, overlap)) > 1, request.like or request.unlike
     if (several or takes) and model.config.representation == "canonical":
         raise SpecError(

@@ -68,7 +68,7 @@ def generate_group(
         CheckpointError: The model is missing or damaged.
         SpecError: A setting is out of range, or the length is more than the model has learnt.
     """
-    studio = open_studio((text,), request, encoder)
+    studio = open_studio((text,), request, seed, encoder)
     frames, longest = part_frames(studio, 1)[0], studio.model.sampling.frames
     if frames > longest or studio.model.config.representation == "canonical":
         raise SpecError(

@@ -129,6 +129,12 @@ def test_a_sequence_has_no_longest_length_and_repeats_exactly(model) -> None:
     assert abs(heights[-100:].mean() - heights[:100].mean()) < 0.05, "the floor drifts"
 
 
+def test_what_no_motion_file_holds_is_refused_before_it_is_drawn(model) -> None:
+    for wrong, said in (({"seconds": 3400}, "up to 100000"), ({"seed": -1}, "--seed")):
+        with pytest.raises(SpecError, match=said):
+            made(**wrong)
+
+
 def test_parts_that_are_shorter_than_a_seam_are_refused(model) -> None:
     with pytest.raises(SpecError, match=r"more than the 0\.87 s"):
         made(then=("they sway",), seconds=0.8)

@@ -141,6 +141,21 @@ def test_a_limb_reaches_its_goal_and_keeps_its_bones() -> None:
     np.testing.assert_array_equal(body.point("left_foot"), feet)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_limb_of_no_length_stays_finite() -> None:
+    """An untrained network may put two keypoints in one place."""
+    lengths = SKELETON.bone_lengths.copy()
+    lengths[[SKELETON.index("left_knee"), SKELETON.index("right_ankle")]] = 0
+    lame = SKELETON.with_bone_lengths(lengths)
+    body = figure(seed=3)
+    turns = np.tile([1.0, 0.0, 0.0, 0.0], (20, len(lame), 1))
+    body = Figure(lame, body.points[:, 0], turns)
+    for side in ("left", "right"):
+        goal = body.point(f"{side}_ankle") + np.array([0.1, 0.0, 0.1])
+        move_end(body, f"{side}_hip", f"{side}_knee", f"{side}_ankle", goal)
+    assert np.isfinite(body.points).all()
+
+
 def test_no_change_of_place_is_no_change_of_pose() -> None:
     body = figure(seed=5)
     frames = body.frames.copy()
