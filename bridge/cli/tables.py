@@ -43,7 +43,7 @@ def _lines(summary: dict[str, Any]) -> list[tuple[str, tuple[str, str]]]:
     times = summary["stage_seconds"]
     motion, report, tracking = summary["motion"], summary["report"], summary["tracking"]
     retargeting, performance = summary["retargeting"], summary["performance"]
-    what = motion["interaction"] or "from a file"
+    what = motion["interaction"] or motion.get("model") or "from a file"
     if "confidence" in motion:
         what += f", {motion['confidence']:.0%} sure"
     off = tracking["mpjpe_global_mm"]

@@ -13,7 +13,7 @@ from generator.finishing.bones import fit_bones
 from generator.finishing.denoise import denoise
 from generator.finishing.feet import plant_feet
 from generator.finishing.figure import Figure
-from generator.finishing.hands import close_touches
+from generator.finishing.hands import close_touches, missed_by
 from generator.finishing.resample import resample, resample_labels, resample_rotations
 from generator.finishing.settings import Finishing
 from generator.finishing.touches import (
@@ -129,6 +129,8 @@ def finish_with_changes(
         labels.append(down)
     contacts = _contacts(motion, pair, fps, settings, expected)
     facts |= close_touches(pair, fps, contacts, settings) if settings.hands else {}
+    if not motion.contacts:  # what nobody labelled and does not meet is no touch
+        contacts = tuple(c for c in contacts if missed_by(pair, fps, c) <= settings.max_gap)
     a, b = (f.motion(fps, down) for f, down in zip(figures, labels, strict=True))
     done = replace(motion, a=a, b=b, contacts=contacts)
     moved = [

@@ -70,12 +70,11 @@ def close_touches(
     Returns:
         How many contacts were closed and given up, and the largest miss before and after, m.
     """
-    touches = [_Touch(c, _frames(c, fps, len(figures[0]))) for c in contacts]
-    misses = [float(np.abs(_miss(figures, touch)).max()) for touch in touches]
+    misses = [missed_by(figures, fps, contact) for contact in contacts]
     believed = [
-        touch
-        for touch, miss in zip(touches, misses, strict=True)
-        if miss <= settings.max_gap and {touch.contact.a, touch.contact.b} & set(HANDS)
+        _Touch(contact, _frames(contact, fps, len(figures[0])))
+        for contact, miss in zip(contacts, misses, strict=True)
+        if miss <= settings.max_gap and {contact.a, contact.b} & set(HANDS)
     ]
     for _ in range(_ROUNDS):
         if max((float(np.abs(_miss(figures, t)).max()) for t in believed), default=0.0) < _MET:
@@ -88,10 +87,16 @@ def close_touches(
     after = max((float(np.abs(_miss(figures, t)).max()) for t in believed), default=0.0)
     return {
         "touches": float(len(believed)),
-        "given_up": float(len(touches) - len(believed)),
+        "given_up": float(len(contacts) - len(believed)),
         "missed": max(misses, default=0.0),
         "missing": after,
     }
+
+
+def missed_by(figures: tuple[Figure, Figure], fps: float, contact: Contact) -> float:
+    """Return by how much a touch is too wide or too tight at its worst moment, m."""
+    touch = _Touch(contact, _frames(contact, fps, len(figures[0])))
+    return float(np.abs(_miss(figures, touch)).max())
 
 
 def _frames(contact: Contact, fps: float, count: int) -> slice:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from generator.canonical import from_canonical
 from generator.diffusion import STEPS, SamplerConfig, sample, timesteps
+from generator.features import POSITIONS
 from generator.runtime.network import Accent, Floats, GuidedNetwork
 from generator.runtime.portable import Portable
 from robots.errors import SpecError
@@ -61,11 +62,15 @@ class Steering:
     avoid: tuple[Floats, ...] = ()
     """Motions ``[B, T, 2F]``, normalised, to draw away from."""
     repulsion: float = 0.5
-    """How much of the difference to each of them is added while only the outline is settled."""
+    """How far each of them pushes while only the outline is settled, as a share of what is left of
+    the way to :data:`FAR`."""
 
 
 PLAIN = Steering()
 """Nothing but the sentence."""
+FAR = 2.0
+"""Root mean square distance of keypoints, in their standard deviations, from which nothing is
+pushed away: two motions that know nothing of each other are 1.4 apart."""
 OUTLINE = STEPS // 2
 """Above this step a prediction is an outline: what is changed there, later steps work out."""
 
@@ -136,10 +141,21 @@ def _steered(clean: Floats, step: int, last: int, steering: Steering) -> Floats:
     """Return a prediction that keeps away, is possible, and has what is known in place."""
     if step > OUTLINE:
         for other in steering.avoid:
-            away = clean + steering.repulsion * (clean - other)
-            clean = away.astype(np.float32, copy=False)
+            clean = _away(clean, other, steering.repulsion)
     if steering.mend is not None:
         clean = steering.mend(clean)
     if steering.held is not None and step != last:
         return steering.held.put_into(clean)
     return clean
+
+
+def _away(clean: Floats, other: Floats, repulsion: float) -> Floats:
+    """Return predictions ``[B, T, 2F]``, each pushed away from another motion along the difference.
+
+    The push fades with distance, so that steps do not add up to a motion that nobody makes.
+    """
+    between = clean - other
+    points = between.reshape(*between.shape[:2], 2, -1)[..., POSITIONS]
+    distance = np.sqrt((points**2).mean(axis=(1, 2, 3)))[:, None, None]
+    push = repulsion * np.maximum(FAR - distance, 0.0) / np.maximum(distance, 1e-6)
+    return (clean + push * between).astype(np.float32, copy=False)

@@ -55,6 +55,16 @@ def test_hands_that_miss_by_far_meet_when_the_sentence_says_so(hand) -> None:
     assert true.start < touch.end
 
 
+def test_a_touch_that_cannot_be_closed_gets_no_label() -> None:
+    original = unlabelled(choreograph("handshake", seed=1))
+    away = original.b.keypoints + np.array([1.5, 1.5, 0.0])
+    apart = replace(original, b=replace(original.b, keypoints=away))
+    made, changes = finish_with_changes(apart, expected=meetings_of("they shake hands"))
+    assert (changes.touches, changes.given_up) == (0, 1)
+    assert changes.missed > 0.4
+    assert made.contacts == ()
+
+
 def test_what_is_found_is_not_expected_again() -> None:
     original = choreograph("handshake", seed=1)
     spoilt = unlabelled(spoil(original, 7, Spoiling(place=0.1)))
@@ -64,10 +74,12 @@ def test_what_is_found_is_not_expected_again() -> None:
 
 
 def test_a_meeting_is_looked_for_in_its_own_time() -> None:
-    original = unlabelled(choreograph("handshake", seed=1))
-    late = Meeting("right_hand", "right_hand", 4.5, 5.0)
-    (touch,) = [c for c in finish(original, expected=[late]).contacts if c.start > 4]
-    assert 4.4 < touch.start <= touch.end < 5.1
+    original = choreograph("handshake", seed=1)
+    after = original.contacts[0].end + 0.3
+    late = Meeting("right_hand", "right_hand", after, after + 0.3)
+    touches = finish(unlabelled(original), expected=[late]).contacts
+    assert len(touches) == 2, "the one that is found and the one that is expected"
+    assert after - 0.05 < touches[1].start <= touches[1].end < after + 0.35
 
 
 def test_a_touch_that_lasts_over_a_seam_is_one_touch() -> None:
