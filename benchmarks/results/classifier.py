@@ -67,7 +67,7 @@ def train_classifier(
     statistics: FeatureStatistics,
     config: Fit,
     *,
-    size: EvaluatorConfig = SIZE,
+    size: EvaluatorConfig | None = None,
     state: Path | None = None,
     report: Callable[[int, float], None] | None = None,
 ) -> Classifier:
@@ -78,11 +78,12 @@ def train_classifier(
             sentences say what is done and who leads.
         statistics: Of their features.
         config: How.
-        size: Of the network.
+        size: Of the network; :data:`SIZE` by default.
         state: Folder of what to go on from.
         report: Told step and loss.
     """
     seed_weights(config.seed)
+    size = size or SIZE
     model = Classifier(size, len(repertoire()))
     for buffer, values in ((model.mean, statistics.mean), (model.std, statistics.std)):
         buffer.copy_(torch.tensor(values, dtype=torch.float32))

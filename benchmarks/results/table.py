@@ -211,7 +211,7 @@ def _worst(records: Sequence[Record], figure: str, count: int) -> str:
 def provenance(records: Sequence[Record]) -> str:
     """Return which models were measured, on how many clips, how often."""
     head = "row, split, clips, repetitions, weights, training steps, with a leader"
-    lines = [head.split(", ")]
+    lines = [[str(name) for name in head.split(", ")]]
     groups: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for record in records:
         groups.setdefault((record["row"], record["split"]), []).append(record)

@@ -17,6 +17,8 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.results import classifier
+from benchmarks.results import judges as judging
 from benchmarks.results.ablations import load_ablations, train_all, trained_steps
 from benchmarks.results.chunks import Chunk, keep_chunk, kept_chunk
 from benchmarks.results.classifier import (
@@ -28,7 +30,7 @@ from benchmarks.results.classifier import (
 )
 from benchmarks.results.clips import HeldOut
 from benchmarks.results.measure import mean_of
-from benchmarks.results.rows import Plan, Protocol, Row, SplitSize, load_plan
+from benchmarks.results.rows import EvaluatorSettings, Plan, Protocol, Row, SplitSize, load_plan
 from benchmarks.results.run import Bench, Clock, OutOfTime, open_results
 from benchmarks.results.table import MISSING, Column, cell, latest, pages
 from benchmarks.results.takes import Makers, Models, Order
@@ -42,6 +44,7 @@ from generator.model import InterGen
 from generator.provenance import Provenance
 from generator.text.encoder import default_encoder
 from generator.text.manner import second_leads
+from generator.training import fit as fitting
 from generator.training.fit import Fit
 from robots.errors import CheckpointError, SpecError
 
@@ -321,6 +324,40 @@ def test_the_classifier_learns_what_is_done_and_who_leads(tmp_path: Path):
     (tmp_path / "classifier" / "model.json").write_text(json.dumps(header))
     with pytest.raises(CheckpointError, match="repertoire"):
         load_classifier(tmp_path / "classifier")
+
+
+def test_judges_are_trained_once_and_a_stop_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    config = tmp_path / "small.toml"
+    config.write_text(
+        f'[data]\ncache = "{tmp_path / "cache"}"\nfps = 7.5\nframes = 20\n'
+        '[[data.source]]\nkind = "choreographed"\ncount = 2\n'
+    )
+    size = replace(judging.SIZE, width=16, layers=1, heads=2, feedforward=16, embedding=8)
+    few = 6
+    monkeypatch.setattr(fitting, "REPORT", few)
+    monkeypatch.setattr(judging, "SIZE", size)
+    monkeypatch.setattr(classifier, "SIZE", size)
+    settings = EvaluatorSettings(config=str(config), batch=2, steps=2 * few, classifier_steps=few)
+    said: list[str] = []
+    with pytest.raises(OutOfTime):
+        judging.judges(tmp_path / "judges", settings, said.append, Clock(minutes=-1.0).check)
+    assert next(line for line in said if "step" in line).startswith(f"evaluator step {few}/")
+    said.clear()
+    made = judging.judges(tmp_path / "judges", settings, said.append, Clock().check)
+    steps = [line.split("  ")[0] for line in said if "step" in line]
+    assert steps == [
+        f"evaluator step {2 * few}/{2 * few}",
+        f"classifier step {few}/{few}",
+    ]
+    said.clear()
+    again = judging.judges(tmp_path / "judges", settings, said.append, Clock(minutes=-1.0).check)
+    assert not said
+    assert again.hash == made.hash
+    clips = [np.random.default_rng(i).standard_normal((20, 524), np.float32) for i in range(3)]
+    assert np.array_equal(again.watch(clips), made.watch(clips))
+    assert np.array_equal(made.read(["they hug", "they hug"])[0], again.read(["they hug"])[0])
 
 
 def test_every_row_of_the_plan_can_be_looked_up():
