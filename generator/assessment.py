@@ -138,7 +138,8 @@ def held_out(data: str, run: RunConfig | None) -> SourceConfig:
         )
     if first.kind == "interhuman":
         return replace(first, split="test")
-    return replace(first, count=HELD_OUT, seed=first.seed + _HELD_OUT_SEED)
+    plain = {"repaired": "", "poses": "repaired", "unjudged": "drop"}  # nobody judged these clips
+    return replace(first, count=HELD_OUT, seed=first.seed + _HELD_OUT_SEED, **plain)
 
 
 def _cache_root(request: Assessment, run: RunConfig | None) -> Path:

@@ -32,6 +32,7 @@ VERBS = {
     "view": "look at a motion, rollout or trajectories in the browser",
     "export": "motion, rollout or trajectories to BVH, CSV, NPZ, MP4, PNG or HTML",
     "robots": "list, show and check the servo robots",
+    "curate": "a configuration's invented clips to those that physics repaired or let pass",
     "train": "configuration and clips to a model that turns sentences into motion",
     "evaluate": "model to a table of figures against real motions, those first",
     "scan": "find the servos on a bus: ids, bit rates, models, clashes",

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from generator.architecture import DenoiserConfig
 from generator.data.choreographed import SPLITS
+from generator.data.curated import KeptPoses, Unjudged
 from generator.data.statistics import WIDTHS
 from generator.objective import ObjectiveConfig
 from generator.training.toml import build, read_toml, write_toml
@@ -73,6 +74,13 @@ class SourceConfig:
     """Clips of ``choreographed``."""
     seed: int = 0
     """Seed of ``choreographed``."""
+    repaired: str = ""
+    """Folder of ``pasdedeux curate``: of ``choreographed`` clips, take those that physics let pass,
+    as it repaired them."""
+    poses: KeptPoses = "repaired"
+    """``raw`` takes the same clips as they were invented."""
+    unjudged: Unjudged = "drop"
+    """Whether clips without a verdict are left out or kept as they were invented."""
     weight: float = 1.0
     """Share of the samples, relative to the other sources."""
 
@@ -87,6 +95,15 @@ class SourceConfig:
             raise SpecError(
                 f"'{self.kind}' has no '{self.split}'", where="split", allowed=", ".join(allowed)
             )
+        if self.repaired and self.kind != "choreographed":
+            raise SpecError(f"'{self.kind}' is not repaired", where="repaired")
+        for name, default in (("poses", "repaired"), ("unjudged", "drop")):
+            if not self.repaired and getattr(self, name) != default:
+                raise SpecError(
+                    f"'{getattr(self, name)}' of no verdicts",
+                    where=name,
+                    hint="set 'repaired' to the folder of 'pasdedeux curate'",
+                )
         _require("count", self.count, 1)
         _require("seed", self.seed, 0)
         if not (self.weight > 0 and math.isfinite(self.weight)):

@@ -15,6 +15,8 @@ from generator.data import (
     Choreographed,
     ClipCache,
     ClipSource,
+    Curated,
+    Curation,
     DuetFolder,
     FeatureStatistics,
     InterHuman,
@@ -104,13 +106,17 @@ def make_source(config: SourceConfig) -> ClipSource:
     """Return a source of clips.
 
     Raises:
-        MotionFileError: A folder does not hold what it should.
+        MotionFileError: A folder does not hold what it should, or no clip was kept.
     """
     if config.kind == "interhuman":
         return InterHuman(config.root, config.split)
     if config.kind == "duets":
         return DuetFolder(config.root)
-    return Choreographed(config.count, seed=config.seed, split=cast(Split, config.split))
+    split = cast(Split, config.split)
+    if config.repaired:
+        curation = Curation(Path(config.repaired), split, config.seed, config.count)
+        return Curated(curation, poses=config.poses, unjudged=config.unjudged)
+    return Choreographed(config.count, seed=config.seed, split=split)
 
 
 def shared_caches(
