@@ -39,6 +39,8 @@ class Gate:
     """Asked for: speed of the fastest keypoint, m/s."""
     bone_deviation_p95_percent: float = 20.0
     """Asked for: bones that change their length."""
+    bend_excess_p95_degrees: float = 10.0
+    """Asked for: a trunk, knee or elbow that is folded further than people can."""
     pelvis_height_min_percent: float = 25.0
     """Asked for: lowest pelvis, of its standing height; below that somebody lies or sits."""
 
@@ -66,6 +68,7 @@ TRACKED_TERMS = (
     Term("contact_recall", "simulated", 100, 40, 0.5),
     Term("penetration_p95", "reference", 20, 120, 0.5),
     Term("speed_max", "reference", 10, 20),
+    Term("bend_excess_p95", "reference", 2, 15),
 )
 KINEMATIC_TERMS = (
     Term("penetration_p95", "reference", 10, 80),
@@ -76,4 +79,5 @@ KINEMATIC_TERMS = (
     Term("residual_force_mean", "reference", 10, 50),
     Term("bone_deviation_p95", "reference", 3, 15, 0.5),
     Term("speed_max", "reference", 10, 20),
+    Term("bend_excess_p95", "reference", 2, 15),
 )

@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from generator.kinematics import forward_kinematics, from_wxyz
 from generator.motion import Contact, DuetMotion, Motion
+from robots.errors import SpecError
 from robots.humanoid import HumanBody
 from robots.skeleton import FloatArray
 from sim.fitting import fit_person
@@ -91,13 +92,23 @@ def make_reference(
         ground: Whether to lift or lower each person so that standing soles meet the floor.
         repair: Whether to take out what no body can do (:mod:`sim.repair`).
         weights: Body masses, kg; ``None`` takes the default for the stature.
+
+    Raises:
+        SpecError: A person's limbs or weight are those of nobody.
     """
     count = int(np.ceil(motion.duration * rate - 1e-9)) + 1
     times = np.minimum(np.arange(count) / rate, motion.duration)
-    people = [
-        _follow(person, weight, times, smoothing, ground=ground, repair=repair)
-        for person, weight in zip(motion.people, weights, strict=True)
-    ]
+    people = []
+    for name, person, weight in zip("ab", motion.people, weights, strict=True):
+        try:
+            people.append(_follow(person, weight, times, smoothing, ground=ground, repair=repair))
+        except SpecError as error:
+            raise SpecError(
+                f"by the keypoints, {error.what}",
+                where=f"person {name} of the motion",
+                allowed=error.allowed,
+                hint="check its --scale, and whether these are joints of a person at all",
+            ) from error
     if repair:
         people = [_level(person, rate) for person in people]
         aside = _apart(people, motion.contacts, rate)

@@ -23,7 +23,7 @@ from robots.humanoid import HumanBody
 from sim.footing import sole_corners
 from sim.gate import KINEMATIC_TERMS, TRACKED_TERMS, Gate, Subject, Term
 from sim.inverse import inverse_dynamics
-from sim.metrics import contact, effort, ground, penetration, smoothness, tracking
+from sim.metrics import contact, effort, ground, penetration, posture, smoothness, tracking
 from sim.reference import make_reference
 from sim.report import Metric, Report
 from sim.rollout import Rollout, motion_sha256
@@ -266,6 +266,12 @@ def _body(
         smoothness.bone_deviation(keypoints, bodies[0].skeleton.parents) * 100,
         summary="p95",
         threshold=gate.bone_deviation_p95_percent,
+    )
+    sheet.people(
+        ("bend_excess_p95", "reference", "°", "most that a joint is bent beyond what people can"),
+        posture.bend_excess(keypoints, bodies[0].skeleton),
+        summary="p95",
+        threshold=gate.bend_excess_p95_degrees,
     )
     skeletons = (bodies[0].skeleton, bodies[1].skeleton)
     sheet.people(

@@ -7,11 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from generator.motion import Contact, DuetMotion
+from generator.choreographer import choreograph
+from generator.kinematics import forward_kinematics, to_wxyz
+from generator.motion import Contact, DuetMotion, Motion
 from robots.errors import MotionFileError, SimDiverged
 from robots.skeleton import human_skeleton
 from sim.gate import Gate
-from sim.metrics import contact, ground, smoothness, tracking
+from sim.metrics import contact, ground, posture, smoothness, tracking
 from sim.report import Metric, Report
 from sim.score import score, score_motion, tolerance
 from sim.track import TrackSettings, track
@@ -96,6 +98,28 @@ def test_people_who_lie_on_their_side_fail(duet, move, on_the_floor):
     assert not tracked.passed
     assert not bare.passed
     assert max(tracked.score, bare.score) < 30
+
+
+def test_a_trunk_folded_through_the_legs_fails_however_well_it_is_tracked(duet):
+    """No ball joint stops at an angle: such a body was tracked to 8 mm and scored 100 of 100."""
+
+    def fold(person: Motion) -> Motion:
+        j, turns = person.skeleton.index("spine1"), np.array(person.rotations)
+        turns[:, j] = to_wxyz(Rotation.from_rotvec([0.0, 3.0, 0.0]))
+        points = forward_kinematics(person.skeleton, person.keypoints[:, 0], turns)
+        return Motion(person.fps, points, turns, skeleton=person.skeleton)
+
+    folded = DuetMotion(fold(duet.a), duet.b)
+    tracked, bare = score(track(folded, settings=ASSIST)), score_motion(folded)
+    assert "bend_excess_p95" in failed(tracked)
+    assert "bend_excess_p95" in failed(bare)
+    assert max(tracked.score, bare.score) < 10
+
+
+@pytest.mark.parametrize("name", ["bow", "help_up", "tug_of_war", "photograph", "salute"])
+def test_people_who_bow_deep_and_bend_their_arms_are_within_their_range(name):
+    duet = choreograph(name, seed=3)
+    assert posture.bend_excess(duet.keypoints, duet.a.skeleton).max() == 0
 
 
 def test_rubber_bones_fail(duet, move):

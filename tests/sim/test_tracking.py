@@ -315,3 +315,9 @@ def test_captured_duets_are_tracked(duets, clip):
     rollout = track(read_motion(duets / "pseudo" / f"{clip}.npz"), settings=ASSIST)
     assert rollout.fell == {"a": False, "b": False}
     assert rollout.error.mean() < 0.04
+
+
+def test_limbs_that_are_nobodys_are_refused_by_name(duet, move):
+    tiny = move(duet.b, lambda points: points[:, :1] + 0.2 * (points - points[:, :1]))
+    with pytest.raises(SpecError, match="person b of the motion: by the keypoints, a person of"):
+        make_reference(replace(duet, b=tiny))

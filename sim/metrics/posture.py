@@ -1,0 +1,57 @@
+"""Whether a body is bent as far as no body bends."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robots.skeleton import FloatArray, Skeleton
+
+RANGES: Mapping[str, float] = MappingProxyType(
+    {
+        **dict.fromkeys(("spine1", "spine2", "spine3", "neck"), 100.0),
+        **{f"{side}_{joint}": 165.0 for side in ("left", "right") for joint in ("elbow", "knee")},
+    }
+)
+"""Largest angle between the bone that ends and the one that begins at a keypoint, degrees.
+
+People bend their whole lumbar spine by about 60 degrees and fold knees and elbows to 150 (American
+Academy of Orthopaedic Surgeons, "Joint Motion: Method of Measuring and Recording", 1965). Keypoints
+do not lie in the joints: in captured people who bow deep, spine1 and spine2 reach 70 degrees each.
+"""
+
+
+def bend_excess(keypoints: NDArray, skeleton: Skeleton) -> FloatArray:
+    """Return by how much the joint of :data:`RANGES` that is bent worst is beyond, degrees.
+
+    Args:
+        keypoints: ``[..., J, 3]`` m.
+        skeleton: Names and parents of the keypoints.
+
+    Returns:
+        ``[...]``, 0 where all are within.
+    """
+    excess = np.zeros(keypoints.shape[:-2])
+    for name, most in RANGES.items():
+        j = skeleton.index(name)
+        child = skeleton.index(_next(name))
+        before = keypoints[..., j, :] - keypoints[..., skeleton.parents[j], :]
+        after = keypoints[..., child, :] - keypoints[..., j, :]
+        lengths = np.linalg.norm(before, axis=-1) * np.linalg.norm(after, axis=-1)
+        cosine = (before * after).sum(axis=-1) / np.maximum(lengths, 1e-9)
+        angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        excess = np.maximum(excess, angle - most)
+    return excess
+
+
+def _next(name: str) -> str:
+    """Return the keypoint that the bone beyond a keypoint leads to."""
+    side, _, joint = name.rpartition("_")
+    after = {
+        **{"spine1": "spine2", "spine2": "spine3", "spine3": "neck", "neck": "head"},
+        **{"elbow": "wrist", "knee": "ankle"},
+    }[joint]
+    return f"{side}_{after}" if side else after
