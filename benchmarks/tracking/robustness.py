@@ -19,6 +19,7 @@ from statistics import median
 
 import numpy as np
 
+from benchmarks.tracking.ablation import VARIANTS
 from benchmarks.tracking.clips import BenchClip
 from benchmarks.tracking.results import Key, Record, Results
 from benchmarks.tracking.run import in_processes, note, run
@@ -123,12 +124,17 @@ class Trial(Task):
         """The settings: a disturbance, and no second try."""
         settings = TrackSettings(controller=self.controller, disturbance=self.disturbance)
         if self.controller == "ilqr":
-            return replace(settings, ilqr=replace(settings.ilqr, recovery=0))
+            return replace(settings, ilqr=replace(settings.ilqr, recovery=0, **self.options))
         return settings
 
 
-def trials_of(condition: Condition, controller: str, most: int) -> list[Trial]:
-    """Return the trials of a condition; those of one number are pushed alike at one time."""
+def trials_of(
+    condition: Condition, controller: str, most: int, variant: str = "everything"
+) -> list[Trial]:
+    """Return the trials of a condition; those of one number are pushed alike at one time.
+
+    A variant is one of :data:`benchmarks.tracking.ablation.VARIANTS`, for ``ilqr`` alone.
+    """
     durations = [Grip(set="", name="", seed=seed).load().duration for seed in range(HANDSHAKES)]
     trials = []
     for number in range(min(condition.trials, most)):
@@ -138,6 +144,7 @@ def trials_of(condition: Condition, controller: str, most: int) -> list[Trial]:
             Trial(
                 clip=Grip(set=condition.name, name=f"{number:02d}_handshake_{seed}", seed=seed),
                 controller=controller,
+                options=VARIANTS[variant],
                 disturbance=condition.draw(rng, durations[seed]),
             )
         )
@@ -172,13 +179,16 @@ def main() -> int:
     )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--controller", default="ilqr", choices=tuple(CONTROLLERS))
+    parser.add_argument(
+        "--variant", default="everything", choices=tuple(VARIANTS), help="leave out a part of ilqr"
+    )
     parser.add_argument("--only", default="", help="conditions whose names contain this")
     parser.add_argument("--trials", type=int, default=1000, help="at most so many per condition")
     parser.add_argument("--jobs", type=int, default=1, help="processes (default: 1)")
     parser.add_argument("--out", type=Path, default=OUT, help=f"file (default: {OUT})")
     args = parser.parse_args()
     chosen = [condition for condition in CONDITIONS if args.only in condition.name]
-    trials = [t for c in chosen for t in trials_of(c, args.controller, args.trials)]
+    trials = [t for c in chosen for t in trials_of(c, args.controller, args.trials, args.variant)]
     results = Results(args.out)
     try:
         run(trials, results, in_processes(args.jobs))
