@@ -27,6 +27,8 @@ from robots.errors import BusCorrupt, BusError, BusTimeout, PortLost, ServoFault
 if TYPE_CHECKING:
     import rustypot
 
+_STATUS = 11
+"""Bytes of a status packet beside its data."""
 PATIENCE = 0.012
 """How long an answer may take beyond its time on the wire, s."""
 ALONE_LIMIT = 0.100
@@ -147,6 +149,9 @@ class RustypotTransport:
             parts = device.sync_read_raw_data_with_error(ids, address, length)
         except (OSError, RuntimeError) as reason:
             self._require_port(reason)
+            # What the others still send would be taken for answers to what is asked next.
+            answers = len(ids) * (_STATUS + length)
+            self._clock.sleep_until(self._clock.now() + PATIENCE + 10 * answers / self._baud)
             # A fast read that failed is followed by a plain one anyway.
             parts = [] if fast else self._ask_alone(address, length, ids)
         data = np.zeros((len(ids), length), np.uint8)

@@ -217,7 +217,7 @@ def test_the_ablation_leaves_out_one_part_at_a_time():
     assert [task.variant for task in tasks] == list(VARIANTS)
     assert len({task.key for task in tasks}) == len(VARIANTS)
     text = ablation([record_of(task) for task in tasks])
-    assert "| without ghost | 1 | 100.0 |" in text
+    assert "| without feedback | 1 | 100.0 |" in text
 
 
 def test_only_what_is_between_the_markers_is_replaced(tmp_path):
