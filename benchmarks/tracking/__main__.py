@@ -11,7 +11,10 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 from benchmarks.tracking.ablation import ablation_tasks
 from benchmarks.tracking.clips import SETS, clips_of
@@ -22,6 +25,8 @@ from robots.errors import DuetError
 from sim.track import CONTROLLERS
 
 OUT = Path("out/bench-track")
+AT_EQUAL_CPU: Mapping[str, Mapping[str, Any]] = MappingProxyType({"mppi": {"samples": 14}})
+"""Settings with which a controller takes about as much of the processor as ``ilqr`` does."""
 ORDER = ("ilqr", "mppi", "assist")
 """The most interesting first."""
 
@@ -65,7 +70,13 @@ def _tasks(args: argparse.Namespace, rollouts: Path | None) -> list[Task]:
         if not found:
             note(f"set {name}: no clips here, left out")
     return [
-        Task(clip=clip, controller=controller, jobs=args.jobs, rollouts=rollouts)
+        Task(
+            clip=clip,
+            controller=controller,
+            options=AT_EQUAL_CPU.get(controller, {}),
+            jobs=args.jobs,
+            rollouts=rollouts,
+        )
         for controller in args.controllers
         for found in clips.values()
         for clip in found
