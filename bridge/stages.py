@@ -80,21 +80,8 @@ def generate(
 ) -> dict[str, Any]:
     """Write ``motion.npz`` for a sentence; return what was understood.
 
-    Args:
-        text: The sentence.
-        out: File to write.
-        seed: Same seed, same machine: same motion.
-        nearest_known: The choreographer takes the nearest interaction it knows.
-        generator: Who turns sentences into motion.
-        intergen: Which model, and what is given of the motion, for ``intergen``.
-        diffusion: Which model, and how it is drawn from, for ``diffusion``.
-        style: Numbers of the style that the choreographer takes instead of the sentence's.
-        raw: Leave what a network drew as it is; it is finished otherwise.
-        progress: Told the share done.
-
-    Raises:
-        PromptError: The sentence is outside the repertoire and ``nearest_known`` is off.
-        CheckpointError: The model is missing or damaged.
+    Writes to ``out``; the other arguments and the errors are those of
+    :func:`bridge.generating.make`.
     """
     from generator.io import write_motion
 
