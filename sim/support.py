@@ -22,7 +22,7 @@ from sim.scene import Scene
 
 LEANS = 0.02
 """Distance outside the soles, m, at which a person counts as leaning. Duets of
-``benchmarks.tracking.leaning`` have 0.05 to 0.09; of 36 captured, choreographed and spoilt ones the
+``benchmarks.tracking.leaning`` have 0.05 to 0.09; of 54 captured, choreographed and spoilt ones the
 most is 0.003."""
 LONG = 0.3
 """How long that must last, s."""

@@ -10,13 +10,19 @@ from numpy.typing import NDArray
 
 from robots.skeleton import FloatArray, Skeleton
 
-RANGES: Mapping[str, float] = MappingProxyType(
+RANGES: Mapping[str, tuple[str, float]] = MappingProxyType(
     {
-        **dict.fromkeys(("spine1", "spine2", "spine3", "neck"), 100.0),
-        **{f"{side}_{joint}": 165.0 for side in ("left", "right") for joint in ("elbow", "knee")},
+        "spine1": ("spine2", 100.0),
+        "spine2": ("spine3", 100.0),
+        "spine3": ("neck", 100.0),
+        "neck": ("head", 100.0),
+        "left_elbow": ("left_wrist", 165.0),
+        "right_elbow": ("right_wrist", 165.0),
+        "left_knee": ("left_ankle", 165.0),
+        "right_knee": ("right_ankle", 165.0),
     }
 )
-"""Largest angle between the bone that ends and the one that begins at a keypoint, degrees.
+"""Largest angle, degrees, between the bone that ends at a keypoint and the one on to the next.
 
 People bend their whole lumbar spine by about 60 degrees and fold knees and elbows to 150 (American
 Academy of Orthopaedic Surgeons, "Joint Motion: Method of Measuring and Recording", 1965). Keypoints
@@ -35,9 +41,8 @@ def bend_excess(keypoints: NDArray, skeleton: Skeleton) -> FloatArray:
         ``[...]``, 0 where all are within.
     """
     excess = np.zeros(keypoints.shape[:-2])
-    for name, most in RANGES.items():
-        j = skeleton.index(name)
-        child = skeleton.index(_next(name))
+    for name, (following, most) in RANGES.items():
+        j, child = skeleton.index(name), skeleton.index(following)
         before = keypoints[..., j, :] - keypoints[..., skeleton.parents[j], :]
         after = keypoints[..., child, :] - keypoints[..., j, :]
         lengths = np.linalg.norm(before, axis=-1) * np.linalg.norm(after, axis=-1)
@@ -45,13 +50,3 @@ def bend_excess(keypoints: NDArray, skeleton: Skeleton) -> FloatArray:
         angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
         excess = np.maximum(excess, angle - most)
     return excess
-
-
-def _next(name: str) -> str:
-    """Return the keypoint that the bone beyond a keypoint leads to."""
-    side, _, joint = name.rpartition("_")
-    after = {
-        **{"spine1": "spine2", "spine2": "spine3", "spine3": "neck", "neck": "head"},
-        **{"elbow": "wrist", "knee": "ankle"},
-    }[joint]
-    return f"{side}_{after}" if side else after
