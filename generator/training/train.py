@@ -28,6 +28,7 @@ from torch.utils.data import DataLoader, Dataset
 from generator import checkpoint
 from generator.data import Batch, BatchStream
 from generator.model_folder import HEADER
+from generator.training.ahead import ahead
 from generator.training.config import RunConfig, changed_keys, parse
 from generator.training.learner import Learner
 from generator.training.prepare import Prepared, prepare
@@ -165,7 +166,10 @@ class _Loop:
         sums: dict[str, Tensor] = {}
         done = last_report = start
         seconds = before
-        for batch in _batches(self._stream, start, self._total, processes, run.data.workers):
+        batches = _batches(self._stream, start, self._total, processes, run.data.workers)
+        if not run.data.workers:  # worker processes must be forked by the main thread
+            batches = ahead(batches, self._learner.texts.vectors)
+        for batch in batches:
             for name, value in self._learner.step(done, batch).items():
                 sums[name] = sums.get(name, 0) + value
             done += 1
