@@ -71,9 +71,9 @@ def test_a_body_on_the_servos_follows_worse_than_bare_horns_and_those_worse_than
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-def test_a_minute_of_two_walking_robots_on_their_own_bodies_stays_in_step(tmp_path):
+def test_two_walking_robots_on_their_own_bodies_stay_in_step(tmp_path):
     path = tmp_path / "telemetry.jsonl"
-    performance = perform(60.0, "mujoco", path)
+    performance = perform(25.0, "mujoco", path)
     assert performance.completed
     assert performance.dropped_ticks == 0
     assert performance.skew_p99_ms < 1.0
@@ -82,7 +82,7 @@ def test_a_minute_of_two_walking_robots_on_their_own_bodies_stays_in_step(tmp_pa
         assert 0.5 < track.rms_deg < 5.0
         assert 20 < track.lag_ms < 150
     recording = Recording.load(path)
-    assert 60.0 <= recording.times[-1] < 63.0  # and then both go to their rest pose
+    assert 25.0 <= recording.times[-1] < 28.0  # and then both go to their rest pose
     clip = clip_of_telemetry(path)
     columns = [clip.model.joint(f"b/{name}").qposadr[0] for name in OP3.joint_names]
     shown = clip.qpos[np.rint(recording.times * clip.fps).astype(int)][:, columns]
