@@ -90,13 +90,13 @@ def generate(
     """
     vectors: dict[str, Tensor] = {}
     out: dict[int, Floats] = {}
-    for rows in _batches_of_equal_length(lengths, batch):
+    for rows in batches_of_equal_length(lengths, batch):
         for i in rows:
             if texts[i] not in vectors:
                 vectors[texts[i]] = model.encode_text([texts[i]])[0]
         cond = torch.stack([vectors[texts[i]] for i in rows])
         frames = int(lengths[rows[0]])
-        noise = np.stack([_noise(seeds[i], frames, 2 * model.config.features) for i in rows])
+        noise = np.stack([noise_of(seeds[i], frames, 2 * model.config.features) for i in rows])
         drawn = model.sample(
             cond,
             frames,
@@ -118,11 +118,13 @@ def generate(
     return [out[i] for i in range(len(texts))]
 
 
-def _noise(seed: Sequence[int], frames: int, width: int) -> Floats:
+def noise_of(seed: Sequence[int], frames: int, width: int) -> Floats:
+    """Return what a motion ``[frames, width]`` is drawn from; a seed is one or several numbers."""
     return np.random.default_rng(list(seed)).standard_normal((frames, width), np.float32)
 
 
-def _batches_of_equal_length(lengths: NDArray[np.int64], size: int) -> Iterable[list[int]]:
+def batches_of_equal_length(lengths: NDArray[np.int64], size: int) -> Iterable[list[int]]:
+    """Yield the numbers of motions that can be drawn together, at most so many at a time."""
     for length in np.unique(lengths):
         rows = np.flatnonzero(lengths == length)
         for start in range(0, len(rows), size):

@@ -17,10 +17,11 @@ from pathlib import Path
 
 from benchmarks.results.ablations import load_ablations, train_all
 from benchmarks.results.judges import judges
+from benchmarks.results.models import Models
 from benchmarks.results.real import CLIPS, keep_spectra
 from benchmarks.results.rows import FILE, load_plan
 from benchmarks.results.run import Bench, Clock, OutOfTime
-from benchmarks.results.takes import Makers, Models
+from benchmarks.results.takes import Makers
 from benchmarks.tracking.run import note
 from generator.threads import thread_limit
 from robots.errors import DuetError

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from generator.data.choreographed import Split
-from generator.diffusion import SamplerConfig
+from generator.diffusion import STEPS, SamplerConfig
 from generator.training.toml import build, read_toml
 from robots.errors import SpecError, nearest
 
@@ -26,8 +26,9 @@ class Row:
     """As the table calls it."""
     tables: tuple[Literal["main", "table3", "table4"], ...] = ("main",)
     """Where it stands."""
-    kind: Literal["data", "choreographer", "model"]
-    """The performances themselves, the choreographer that reads the sentence, or a network."""
+    kind: Literal["data", "choreographer", "model", "portable"]
+    """The performances themselves, the choreographer that reads the sentence, a network that is
+    drawn from as the row says, or one without torch that is drawn from as its folder says."""
     folder: str = ""
     """Of the model."""
     steps: int = 10
@@ -38,6 +39,8 @@ class Row:
     """Of its steps."""
     guidance: float = 2.0
     """Weight of the sentence."""
+    guided: tuple[int, int] = (0, STEPS - 1)
+    """First and last diffusion step at which it is weighted."""
     decoded: bool = False
     """Whether performances are measured as the network's features hold them, not as they were."""
     finish: bool = False
@@ -51,7 +54,7 @@ class Row:
 
     def __post_init__(self) -> None:
         """Validate."""
-        if (self.kind == "model") != bool(self.folder):
+        if self.drawn != bool(self.folder):
             raise SpecError(f"'{self.kind}' with folder '{self.folder}'", where=self.name)
         if self.decoded and self.kind != "data":
             raise SpecError("only data is decoded", where=self.name)
@@ -59,9 +62,20 @@ class Row:
             raise SpecError("data is finished as decoded", where=self.name)
 
     @property
+    def drawn(self) -> bool:
+        """Whether a network draws."""
+        return self.kind in ("model", "portable")
+
+    @property
     def sampler(self) -> SamplerConfig:
         """How its motions are drawn, if it is a model."""
-        return SamplerConfig(self.solver, self.steps, self.spacing, guidance=self.guidance)
+        return SamplerConfig(
+            self.solver,
+            self.steps,
+            self.spacing,
+            guidance=self.guidance,
+            guidance_interval=self.guided,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

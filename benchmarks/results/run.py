@@ -109,7 +109,7 @@ class Bench:
         return count
 
     def _there(self, row: Row) -> bool:
-        there = row.kind != "model" or (Path(row.folder) / HEADER).is_file()
+        there = not row.drawn or (Path(row.folder) / HEADER).is_file()
         if not there:
             note(f"{row.name}: there is no model in {row.folder} yet, left out")
         return there
@@ -173,9 +173,12 @@ class Bench:
                 made.append(self.makers.take(row, order))
             record["figures"]["multimodality"] = spread_of(made, self.judges, seed)
         record["leaders"] = len(standard.led)
-        if row.kind == "model":
-            loaded = self.makers.models.load(row.folder)
-            record |= {"weights": loaded.hash[:12], "trained_steps": loaded.steps}
+        if row.drawn:
+            loaded = self.makers.models.load(row)
+            record |= {
+                "weights": loaded.hash[:12],
+                "trained_steps": loaded.provenance.training.get("steps"),
+            }
         return record
 
     def _orders(self, size: SplitSize, repetition: int) -> Iterator[Order]:

@@ -128,7 +128,7 @@ def pages(plan: Plan, records: Sequence[Record], real: Any = None) -> dict[str, 
     parts["spectra"] = spectra_table(rows["main"], records, real)
     parts["hardest"] = hardest(rows["main"], records)
     parts["made"] = provenance(records)
-    held = [row for row in rows["main"] if row.kind == "model" and row.splits[1:]]
+    held = [row for row in rows["main"] if row.drawn and row.splits[1:]]
     parts["targets"] = markdown(target_lines(held, records, MISSING))
     return parts
 
@@ -190,7 +190,7 @@ def hardest(rows: Sequence[Row], records: Sequence[Record], count: int = 8) -> s
     lines = [["", "right interaction", "right leader", "hands meet"]]
     for row in rows:
         found = [r for r in records if (r["row"], r["split"]) == (row.name, "test")]
-        if row.kind == "model":
+        if row.drawn:
             cells = [_worst(found, figure, count) for figure in ("class", "role", "met")]
             lines.append([row.name, *cells])
     return markdown(lines)

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,75 +19,16 @@ from benchmarks.results import clips, figures, spectra
 from benchmarks.results.chunks import Chunk, Features, keep_chunk, kept_chunk, key_of
 from benchmarks.results.clips import Asked, features_of
 from benchmarks.results.figures import measured
+from benchmarks.results.models import Models
 from benchmarks.results.rows import Protocol, Row
 from generator import choreographer, finishing
-from generator.checkpoint import load
-from generator.drawing import generate
 from generator.features import decode
 from generator.finishing.meant import meetings_of
-from generator.model_folder import read_header
 from generator.motion import DuetMotion
-from robots.errors import CheckpointError, SpecError
 from robots.files import sha256
-
-if TYPE_CHECKING:
-    from generator.model import InterGen
 
 SAMPLING, FINISHING = "sampling_s", "finishing_s"
 """CPU seconds of a chunk, in its notes."""
-BATCH = 16
-"""Motions drawn at a time."""
-_LOADS = 5
-"""Attempts to read a model whose training replaces it just then."""
-
-
-@dataclass(frozen=True, slots=True)
-class Loaded:
-    """A model and which one it is."""
-
-    model: InterGen
-    """Ready to draw."""
-    hash: str
-    """SHA-256 of its weights."""
-    steps: int | None
-    """Steps that it was trained for, if it says so."""
-
-
-@dataclass(slots=True)
-class Models:
-    """Models by folder, each read once: a run measures one state of a model that is training."""
-
-    fps: float
-    """Frame rate that they must have."""
-    known: dict[str, Loaded] = field(default_factory=dict)
-    """Those that were read."""
-
-    def load(self, folder: str) -> Loaded:
-        """Return the model in a folder.
-
-        Raises:
-            CheckpointError: It is missing or damaged.
-            SpecError: It has another frame rate.
-        """
-        if folder not in self.known:
-            self.known[folder] = self._read(folder)
-        return self.known[folder]
-
-    def _read(self, folder: str) -> Loaded:
-        for _ in range(_LOADS):
-            before = _hash(folder)
-            model = load(folder)
-            if _hash(folder) == before:
-                break
-        else:
-            raise CheckpointError("changes while it is read", where=folder, hint="run again")
-        if model.provenance.fps != self.fps:
-            raise SpecError(
-                f"a model of {model.provenance.fps:g} frames per second",
-                where=folder,
-                allowed=f"{self.fps:g}",
-            )
-        return Loaded(model, before, model.provenance.training.get("steps"))
 
 
 def _code(row: Row) -> str:
@@ -96,10 +37,6 @@ def _code(row: Row) -> str:
     if row.finish:
         files += sorted(Path(finishing.__file__ or "").parent.glob("*.py"))
     return key_of([sha256(file) for file in files])
-
-
-def _hash(folder: str) -> str:
-    return str(read_header(Path(folder)).get("weights", {}).get("sha256", ""))
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,9 +69,10 @@ class Makers:
     def identity(self, row: Row) -> str:
         """Return a hash of everything that decides what a row makes."""
         protocol = [self.protocol.fps, self.protocol.frames, self.protocol.length_step, _code(row)]
-        if row.kind == "model":
-            weights = self.models.load(row.folder).hash
-            return key_of("model/1", weights, asdict(row.sampler), row.finish, protocol)
+        if row.drawn:
+            loaded = self.models.load(row)
+            sampler = asdict(loaded.sampler(row))
+            return key_of(f"{row.kind}/1", loaded.hash, sampler, row.finish, protocol)
         return key_of(f"{row.kind}/1", choreographer.SOURCE, row.decoded, row.finish, protocol)
 
     def take(self, row: Row, order: Order) -> Chunk:
@@ -166,7 +104,7 @@ class Makers:
         return self._chunk(done, order, notes, [self._features(m, (0,)) for m in done])
 
     def _drawn(self, row: Row, order: Order) -> Chunk:
-        if row.kind == "model":
+        if row.drawn:
             return self._sampled(row, order)
         if row.kind == "data" and order.performed is not None:
             features = order.performed.features
@@ -184,9 +122,9 @@ class Makers:
     def _sampled(self, row: Row, order: Order) -> Chunk:
         step = self.protocol.length_step
         lengths = np.array([max(round(a.frames / step), 1) * step for a in order.asked], np.int64)
-        model = self.models.load(row.folder).model
+        model = self.models.load(row)
         began = time.process_time()
-        features = generate(model, order.texts, lengths, order.seeds, row.sampler, batch=BATCH)
+        features = model.draw(row, order.texts, lengths, order.seeds)
         notes = {SAMPLING: time.process_time() - began}
         motions = [self._decoded(x) for x in features]
         return self._chunk(motions, order, notes, features)

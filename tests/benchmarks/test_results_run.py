@@ -28,10 +28,11 @@ from benchmarks.results.classifier import (
     train_classifier,
 )
 from benchmarks.results.clips import HeldOut
+from benchmarks.results.models import Models
 from benchmarks.results.rows import EvaluatorSettings, Plan, Protocol, Row, SplitSize
 from benchmarks.results.run import Bench, Clock, OutOfTime, open_results
 from benchmarks.results.table import latest
-from benchmarks.results.takes import Makers, Models, Order
+from benchmarks.results.takes import Makers, Order
 from generator import checkpoint
 from generator.architecture import DenoiserConfig
 from generator.choreographer import repertoire
@@ -43,6 +44,7 @@ from generator.text.encoder import default_encoder
 from generator.text.manner import second_leads
 from generator.training import fit as fitting
 from generator.training.fit import Fit
+from generator.training.portable import write_portable
 from robots.errors import CheckpointError, SpecError
 
 PROTOCOL = Protocol(chunk=3, reference=1, spread_texts=1, spread_motions=6)
@@ -285,6 +287,23 @@ def test_a_model_is_measured_raw_and_finished_from_one_drawing(
     assert second["figures"]["bones"] < 1e-6 < first["figures"]["bones"]
     assert second["figures"]["finishing_s"] > 0
     assert first["figures"]["finishing_s"] is None
+
+
+def test_what_ships_draws_what_was_trained_as_its_folder_says(out: Path):
+    small_model(out / "model")
+    folder, said = out / "portable", {"steps": 2, "guidance": 1.5}
+    model = checkpoint.load(out / "model")
+    write_portable(model, folder, frames=75, precision="float32", sampling=said)
+    trained = Row(
+        name="trained", kind="model", folder=str(folder), splits=("test",), steps=2, guidance=1.5
+    )
+    ships = Row(name="ships", kind="portable", folder=str(folder), splits=("test",))
+    made = bench(out, plan_of(trained, ships))
+    (order,) = made._orders(made.plan.size("test"), 0)
+    takes = [made.makers.take(row, order) for row in (trained, ships)]
+    for ours, theirs in zip(takes[0].features, takes[1].features, strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-3)
+    assert made.makers.identity(trained) != made.makers.identity(ships)
 
 
 def test_a_model_of_another_rate_is_refused(out: Path):
