@@ -166,8 +166,9 @@ class _School:
 
         config = ContrastiveConfig(architecture=SIZE, steps=steps, learning_rate=RATE)
         state = self._folder / "evaluator-state"
+        cache = self._data.cache or None
         return train_evaluator(
-            self._stream, self._statistics, encoder, config, state=state, report=report
+            self._stream, self._statistics, encoder, config, state=state, cache=cache, report=report
         )
 
     def classifier(self) -> Classifier:

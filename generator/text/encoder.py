@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robots.errors import CheckpointError
+from robots.files import sha256
 
 FloatVectors = NDArray[np.float32]
 
@@ -79,7 +80,13 @@ class MiniLmEncoder:
         with resources.as_file(vocabulary) as file:
             self._tokenizer: Any = BertWordPieceTokenizer(str(file), lowercase=True)
         self._tokenizer.enable_truncation(LONGEST)
+        self._path = path
         self._inputs = {node.name for node in self._session.get_inputs()}
+
+    @property
+    def fingerprint(self) -> str:
+        """What tells this network from others."""
+        return sha256(self._path)[:16]
 
     def encode(self, sentences: Sequence[str]) -> FloatVectors:
         """Return ``[N, 384]`` unit vectors: token vectors averaged, then scaled to length 1."""
@@ -116,6 +123,11 @@ class TokenEncoder:
         """Take the tokens from this encoder."""
         self._encoder = encoder
         self.dimension = self.tokens * encoder.dimension
+
+    @property
+    def fingerprint(self) -> str:
+        """What tells these vectors from others."""
+        return f"{self._encoder.fingerprint}-{self.tokens}"
 
     def encode(self, sentences: Sequence[str]) -> FloatVectors:
         """Return ``[N, tokens * 384]``, in numbers that 16 bits hold."""

@@ -65,6 +65,7 @@ def train_evaluator(
     config: ContrastiveConfig | None = None,
     *,
     state: Path | None = None,
+    cache: str | Path | None = None,
     report: Callable[[int, float, float], None] | None = None,
 ) -> InterClip:
     """Return an evaluator that was trained on a stream of clips.
@@ -79,6 +80,7 @@ def train_evaluator(
         encoder: Frozen sentence encoder.
         config: How.
         state: Folder of what to go on from, if there is something (:func:`fit`).
+        cache: Folder in which vectors of sentences are kept, if any.
         report: Told the step, the loss and the share of motions whose sentence is the nearest one
             of the batch, every 50 steps.
 
@@ -96,7 +98,7 @@ def train_evaluator(
         replace(config.architecture, text_width=text_width(encoder), text_tokens=tokens),
         sentences=encoder,
     )
-    texts = TextTable(encoder)
+    texts = TextTable(encoder, cache)
     mean, std = (torch.tensor(x, dtype=torch.float32) for x in (statistics.mean, statistics.std))
 
     def pairs(step: int) -> tuple[Batch, Tensor, Tensor]:

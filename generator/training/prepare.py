@@ -99,7 +99,8 @@ def prepare(
     if initial is not None:
         _require_same(initial, model)
         model.denoiser.load_state_dict(initial.denoiser.state_dict())
-    return Prepared(stream, model.to(processes.device), TextTable(encoder))
+    texts = TextTable(encoder, run.data.cache or None)
+    return Prepared(stream, model.to(processes.device), texts)
 
 
 def make_source(config: SourceConfig) -> ClipSource:

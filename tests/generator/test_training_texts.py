@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 import torch
 
 from generator.architecture import DenoiserConfig
 from generator.denoiser import Denoiser, TextReader
+from generator.text.encoder import TokenEncoder
 from generator.training import texts
 from generator.training.texts import TextTable
 from robots.errors import SpecError
@@ -54,6 +57,48 @@ def test_a_table_that_is_full_begins_anew(monkeypatch):
     before = encoder.calls
     table.vectors(sentences[:1])
     assert encoder.calls == before + 1
+
+
+class Shipped(TokenEncoder):
+    """An encoder of the kind that is kept on disk."""
+
+    def __init__(self):
+        self.counted = Counted(fine=False)
+
+    @property
+    def fingerprint(self):
+        return "test"
+
+    def encode(self, sentences):
+        return self.counted.encode(sentences)
+
+
+def test_a_second_run_reads_the_vectors_that_the_first_one_left(tmp_path):
+    sentences = ["a wave", "they bow slowly", ""]
+    first, second = Shipped(), Shipped()
+    made = TextTable(first, tmp_path).vectors(sentences)
+    np.testing.assert_array_equal(TextTable(second, tmp_path).vectors(sentences), made)
+    assert (first.counted.calls, second.counted.calls) == (3, 0)
+
+
+def test_vectors_on_a_damaged_disk_are_computed_again(tmp_path, caplog):
+    TextTable(Shipped(), tmp_path).vectors(["a wave"])
+    (file,) = tmp_path.glob("*.sqlite")
+    for part in tmp_path.iterdir():
+        part.unlink()
+    file.write_bytes(b"this is no database" * 100)
+    encoder = Shipped()
+    vectors = TextTable(encoder, tmp_path).vectors(["a wave"])
+    np.testing.assert_array_equal(vectors, Counted(False).encode(["a wave"]))
+    assert "not kept" in caplog.text
+
+
+def test_two_threads_may_ask_one_table(tmp_path):
+    table, sentences = TextTable(Shipped(), tmp_path), ["x" * n for n in range(30)]
+    expected = Counted(False).encode(sentences)
+    with ThreadPoolExecutor(4) as pool:
+        for vectors in pool.map(table.vectors, [sentences] * 8):
+            np.testing.assert_array_equal(vectors, expected)
 
 
 def reader(**changes) -> DenoiserConfig:
