@@ -10,7 +10,8 @@ local Wiener gain
 
 with the energy of the band around the moment, and what white noise of the measured size leaves in
 that band. Noise is measured by the fourth difference, which takes out what is smooth over five
-frames; the median over time does not mind the few frames in which people really jerk. All filters
+frames. Noise is there all the time and movement comes and goes, but at low frame rates five frames
+hold a whole wave of a hand; so the quiet quarter of the time tells how large noise is. All filters
 are symmetric, so nothing moves in time.
 
 Example: of 5 mm of jitter per frame on a slow wave at 15 frames per second, 2.6 mm of slow wander
@@ -34,6 +35,10 @@ _DOUBT = 3.0
 _ORDER = 4
 _GAIN = 70.0
 """Variance of the fourth difference of white noise of variance 1: sum of squared binomials."""
+_QUIET = 25
+"""Percentile of the fourth difference that tells the noise."""
+_QUIET_SIZE = 0.31864
+"""That percentile of the size of a normal number of variance 1."""
 
 
 def noise_of(signal: NDArray) -> FloatArray:
@@ -41,7 +46,7 @@ def noise_of(signal: NDArray) -> FloatArray:
     if len(signal) <= _ORDER:
         return np.zeros(signal.shape[1])
     rough = np.abs(np.diff(signal, _ORDER, axis=0)) / np.sqrt(_GAIN)
-    spread = np.median(rough, axis=0) / 0.6745
+    spread = np.percentile(rough, _QUIET, axis=0) / _QUIET_SIZE
     return np.sqrt((spread**2).mean(axis=-1))
 
 

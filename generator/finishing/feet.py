@@ -7,6 +7,10 @@
 3. What both feet ask for alike was a drift of the whole body: the pelvis takes it over, and sinks
    where a leg would be too short.
 4. The legs bend to where the feet are. Between stances, corrections pass from one to the next.
+
+A foot that steps is off the floor. Few frames a second, and networks, make it leave and land
+gradually: it slides while it is hardly lifted. So it stays while it is, at both ends of a step, and
+between two places it is lifted at least as much as a careful walker does.
 """
 
 from __future__ import annotations
@@ -45,6 +49,16 @@ _CLEAR = 0.01
 """How softly a foot in the air keeps off the floor, m."""
 _CLEAR_TIME = 0.15
 """Time from a stance in which that sets in, s."""
+_BARELY = 0.012
+"""Height over its stance up to which a foot that leaves or lands has not done so yet, m."""
+_BESIDE = 0.05
+"""Farthest that it may be from the place where it then stands, m."""
+_SWING = 0.27
+"""Time that is left to a step in any case, s."""
+_STEP = 1.2
+"""Longest time between two stances that is taken for a single step, s."""
+_LIFT, _LIFT_MOST = 0.25, 0.05
+"""Least lift of a step as a share of its length, and the most that is asked for, m."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +67,8 @@ class _Place:
 
     down: NDArray[np.bool_]
     """``[T]``: ball or heel stands, and the foot can be held."""
+    ball: NDArray[np.bool_]
+    """``[T]``: the ball does."""
     toe: FloatArray
     """``[T, 3]`` m: where the ball goes while ``down``."""
     turn: FloatArray
@@ -98,7 +114,7 @@ def plant_feet(
         figure.bend(f"{side}_ankle", attitude @ np.swapaxes(now, -1, -2))
         farthest = max(farthest, float(by[place.down].max(initial=0.0)))
     held = [
-        (stance.heel & place.down, stance.toe & place.down)
+        (stance.heel & place.down, place.ball)
         for stance, place in zip(stances, places, strict=True)
     ]
     return np.column_stack([column for pair in held for column in pair]), {
@@ -162,6 +178,9 @@ def _place(
             glides = True
             continue
         goal[at], down[at] = middle, True
+    free = ~(stance.heel | stance.toe)
+    _linger(path, goal, down, free, rest, fps)
+    ball = down.copy()
     for at in runs(stance.heel & ~stance.toe):
         beside = [k for k in (at.start - 1, at.stop) if 0 <= k < len(down) and down[k]]
         # Between two flat stances the heel would have to jump from one to the other.
@@ -172,7 +191,39 @@ def _place(
                 up = stand[2] + bone[at, 2] >= rest
                 goal[at][up] = stand + bone[at][up]
                 down[at] = up
-    return _Place(down, goal, turn, glides)
+    return _Place(down, ball, goal, turn, glides)
+
+
+def _linger(
+    path: FloatArray,
+    goal: FloatArray,
+    down: NDArray[np.bool_],
+    free: NDArray[np.bool_],
+    rest: float,
+    fps: float,
+) -> None:
+    """Let a ball stand as long as it is hardly off the floor; see the top of this file.
+
+    Args:
+        path: ``[T, 3]`` m, of the ball.
+        goal: ``[T, 3]`` m, where it goes while ``down``; is changed.
+        down: ``[T]``, when it stands; is changed.
+        free: ``[T]``, when neither ball nor heel were found to stand.
+        rest: Height of a standing ball, m.
+        fps: Frames per second.
+    """
+    near = free & (path[:, 2] < rest + _BARELY)
+    for gap in runs(~down):
+        # Both ends take of the same time, and leave enough of it for a step.
+        most = max(0, (gap.stop - gap.start - round(_SWING * fps)) // 2)
+        ends = [(gap.start - 1, range(gap.start, gap.start + most))] if gap.start else []
+        if gap.stop < len(down):
+            ends.append((gap.stop, range(gap.stop - 1, gap.stop - 1 - most, -1)))
+        for stand, moments in ends:
+            for k in moments:
+                if not near[k] or np.linalg.norm(path[k, :2] - goal[stand, :2]) > _BESIDE:
+                    break
+                goal[k], down[k] = goal[stand], True
 
 
 def _offset(figure: Figure, side: str) -> FloatArray:
@@ -217,11 +268,24 @@ def _goal(
     shift = bridge(place.toe - path, place.down, round(_EASE * fps))
     toe, offset = path + shift, _offset(figure, side)
     clear = _CLEAR * _since(place.down, _CLEAR_TIME * fps)
-    toe[:, 2] = _above(toe[:, 2], rest, clear)
+    toe[:, 2] = _above(toe[:, 2], rest + _lift(place, fps), clear)
     ankle = toe - apply(turn_about(place.turn) @ figure.frame(f"{side}_ankle"), offset)
     lifted = _above(ankle[:, 2], rest - _RISE * min(float(offset[2]), 0.0), clear)
     ankle[:, 2] = np.where(place.down, ankle[:, 2], lifted)
     return ankle, np.linalg.norm(shift, axis=1)
+
+
+def _lift(place: _Place, fps: float) -> FloatArray:
+    """Return how high over its stance a ball is at least while it steps ``[T]`` m."""
+    lift = np.zeros(len(place.down))
+    for gap in runs(~place.down):
+        steps = gap.stop - gap.start + 1
+        if gap.start == 0 or gap.stop == len(lift) or steps > _STEP * fps:
+            continue
+        length = float(np.linalg.norm((place.toe[gap.stop] - place.toe[gap.start - 1])[:2]))
+        u = np.arange(1, steps) / steps
+        lift[gap] = min(_LIFT * length, _LIFT_MOST) * (4 * u * (1 - u)) ** 2
+    return lift
 
 
 def _since(down: NDArray[np.bool_], frames: float) -> FloatArray:
@@ -232,7 +296,7 @@ def _since(down: NDArray[np.bool_], frames: float) -> FloatArray:
     return np.minimum(away / max(frames, 1.0), 1.0)
 
 
-def _above(heights: NDArray, least: float, soft: NDArray) -> FloatArray:
+def _above(heights: NDArray, least: float | FloatArray, soft: NDArray) -> FloatArray:
     """Return heights ``[T]`` m that keep above a bound, turning softly where ``soft`` is not 0."""
     over = heights - least
     return least + 0.5 * (over + np.sqrt(over**2 + soft**2))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from functools import cache
 
 import numpy as np
@@ -43,6 +44,12 @@ class Figure:
     def __len__(self) -> int:
         """Return the number of frames T."""
         return len(self.points)
+
+    def copy(self) -> Figure:
+        """Return the same body, to be changed on its own."""
+        other = copy(self)
+        other.points, other.frames = self.points.copy(), self.frames.copy()
+        return other
 
     def point(self, name: str) -> FloatArray:
         """Return the path ``[T, 3]`` m of a keypoint or of ``left_hand`` / ``right_hand``."""

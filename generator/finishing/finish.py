@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from generator.finishing.apart import push_apart
+from generator.finishing.approach import step_nearer
 from generator.finishing.bones import fit_bones
 from generator.finishing.denoise import denoise
 from generator.finishing.feet import plant_feet
@@ -21,6 +22,7 @@ from generator.finishing.touches import (
     Pair,
     find_touches,
     nearest_touches,
+    settled,
     without_conflicts,
 )
 from generator.motion import Contact, DuetMotion, Motion
@@ -59,6 +61,8 @@ class Changes:
     """Deepest overlap of the two people before, m; negative is room."""
     pushed: float
     """How far a person was moved out of the other, m."""
+    stepped: float
+    """How far each person was moved along the floor towards touches, all the time alike, m."""
     touches: int
     """Touches that were closed."""
     given_up: int
@@ -93,8 +97,9 @@ def finish_with_changes(
 ) -> tuple[DuetMotion, Changes]:
     """Return the motion as two bodies could have moved it, and what was changed.
 
-    Jitter is taken out, bones get constant lengths, the frame rate is made ``fps``, people who
-    overlap are moved apart, standing feet are held on the floor, touches are closed.
+    Jitter is taken out, bones get constant lengths, the frame rate is made ``fps``, people who are
+    too far apart for what they are meant to touch are moved nearer, people who overlap apart,
+    standing feet are held on the floor, touches are closed.
 
     Args:
         motion: Two people, with or without rotations, labels of foot contacts and touches.
@@ -119,7 +124,8 @@ def finish_with_changes(
         before.append(resample(person.keypoints, motion.fps, fps))
         smoothed.append(change)
     pair = figures[0], figures[1]
-    facts = push_apart(pair, fps) if settings.apart else {"overlap": np.nan, "pushed": 0.0}
+    meetings = tuple(m if isinstance(m, Meeting) else Meeting(*m) for m in expected)
+    facts = _put_in_place(motion, pair, fps, settings, meetings)
     feet, labels = [], []
     for figure, person in zip(figures, motion.people, strict=True):
         said = person.foot_contacts
@@ -127,7 +133,7 @@ def finish_with_changes(
         down, fact = plant_feet(figure, fps, said, settings) if settings.feet else (said, {})
         feet.append(fact)
         labels.append(down)
-    contacts = _contacts(motion, pair, fps, settings, expected)
+    contacts = _contacts(motion, pair, fps, settings, meetings)
     facts |= close_touches(pair, fps, contacts, settings) if settings.hands else {}
     if not motion.contacts:  # what nobody labelled and does not meet is no touch
         contacts = tuple(c for c in contacts if missed_by(pair, fps, c) <= settings.max_gap)
@@ -146,6 +152,7 @@ def finish_with_changes(
         gliding=int(sum(f.get("gliding", 0) for f in feet)),
         overlap=float(facts["overlap"]),
         pushed=float(facts["pushed"]),
+        stepped=float(facts["stepped"]),
         touches=int(facts.get("touches", 0)),
         given_up=int(facts.get("given_up", 0)),
         missed=float(facts.get("missed", 0.0)),
@@ -172,19 +179,35 @@ def _body(
     return Figure(fitted, root, rotations), change
 
 
+def _put_in_place(
+    motion: DuetMotion,
+    figures: tuple[Figure, Figure],
+    fps: float,
+    settings: Finishing,
+    meetings: Sequence[Meeting],
+) -> dict[str, float]:
+    """Bring people nearer for touches that are meant, and out of each other; say how far."""
+    stepped = 0.0
+    if settings.hands:
+        meant = motion.contacts or nearest_touches(figures, fps, meetings)
+        stepped = step_nearer(figures, fps, meant, settings)
+    facts = push_apart(figures, fps) if settings.apart else {"overlap": np.nan, "pushed": 0.0}
+    return {**facts, "stepped": stepped}
+
+
 def _contacts(
     motion: DuetMotion,
     figures: tuple[Figure, Figure],
     fps: float,
     settings: Finishing,
-    expected: Sequence[Meeting | Pair],
+    meetings: Sequence[Meeting],
 ) -> tuple[Contact, ...]:
     """Return the touches that are meant: labelled, else expected and found ones."""
     if motion.contacts:
         return motion.contacts
     found = find_touches(figures, fps, settings) if settings.hands and settings.detect else ()
-    meetings = [m if isinstance(m, Meeting) else Meeting(*m) for m in expected]
-    missing = [m for m in meetings if not any(m.met_by(touch) for touch in found)]
+    certain = settled(figures, fps, meetings)
+    missing = [m for m in certain if not any(m.met_by(touch) for touch in found)]
     return without_conflicts([*nearest_touches(figures, fps, missing), *found])
 
 

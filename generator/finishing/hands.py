@@ -72,7 +72,7 @@ def close_touches(
     """
     misses = [missed_by(figures, fps, contact) for contact in contacts]
     believed = [
-        _Touch(contact, _frames(contact, fps, len(figures[0])))
+        _Touch(contact, frames_of(contact, fps, len(figures[0])))
         for contact, miss in zip(contacts, misses, strict=True)
         if miss <= settings.max_gap and {contact.a, contact.b} & set(HANDS)
     ]
@@ -95,11 +95,11 @@ def close_touches(
 
 def missed_by(figures: tuple[Figure, Figure], fps: float, contact: Contact) -> float:
     """Return by how much a touch is too wide or too tight at its worst moment, m."""
-    touch = _Touch(contact, _frames(contact, fps, len(figures[0])))
+    touch = _Touch(contact, frames_of(contact, fps, len(figures[0])))
     return float(np.abs(_miss(figures, touch)).max())
 
 
-def _frames(contact: Contact, fps: float, count: int) -> slice:
+def frames_of(contact: Contact, fps: float, count: int) -> slice:
     """Return the frames of a contact: one at least."""
     start = min(max(int(np.ceil(contact.start * fps - 1e-6)), 0), count - 1)
     return slice(start, min(max(int(contact.end * fps + 1e-6), start), count - 1) + 1)

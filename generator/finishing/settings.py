@@ -34,6 +34,8 @@ class Finishing:
     """Farthest that a person is moved up or down to the floor, m."""
     max_gap: float = 0.40
     """Largest miss of an intended touch that is closed, m."""
+    max_step: float = 0.15
+    """Farthest that each person is moved along the floor towards a touch that is meant, m."""
     detect_gap: float = 0.15
     """Largest miss of a touch that nobody announced, m."""
 

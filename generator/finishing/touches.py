@@ -97,15 +97,46 @@ def nearest_touches(
 ) -> tuple[Contact, ...]:
     """Return one touch for each meeting: where its points are nearest to each other."""
     touches = []
-    for meeting in meetings:
-        options = [meeting.pair, *([mirrored(meeting.pair)] if meeting.either else [])]
-        courses = [_course(figures, pair, fps) for pair in options]
-        last = len(courses[0]) - 1
-        first = min(round(meeting.start * fps), last)
-        span = slice(first, max(first, round(min(meeting.end * fps, last))) + 1)
-        best = int(np.argmin([course[span].min() for course in courses]))
-        touches.append(_contact(options[best], courses[best], span, fps))
+    for meeting in settled(figures, fps, meetings):
+        course = _course(figures, meeting.pair, fps)
+        touches.append(_contact(meeting.pair, course, _span(meeting, len(course), fps), fps))
     return tuple(touches)
+
+
+def settled(
+    figures: tuple[Figure, Figure], fps: float, meetings: Sequence[Meeting]
+) -> tuple[Meeting, ...]:
+    """Return the meetings with the question of mirror images answered.
+
+    All meetings of one time are taken as they are, or all in the mirror: whichever way the points
+    are nearer to each other. One by one, the two grips of a circle would both become the nearer.
+    """
+
+    def distance(pair: Pair, meeting: Meeting) -> float:
+        course = _course(figures, pair, fps)
+        return float(course[_span(meeting, len(course), fps)].min())
+
+    surplus: dict[tuple[float, float], float] = {}
+    for meeting in meetings:
+        if meeting.either:
+            more = distance(meeting.pair, meeting) - distance(mirrored(meeting.pair), meeting)
+            time = meeting.start, meeting.end
+            surplus[time] = surplus.get(time, 0.0) + more
+    return tuple(
+        Meeting(
+            *(mirrored(m.pair) if m.either and surplus[m.start, m.end] > 0 else m.pair),
+            m.start,
+            m.end,
+        )
+        for m in meetings
+    )
+
+
+def _span(meeting: Meeting, frames: int, fps: float) -> slice:
+    """Return the frames, one at least, in which a meeting may be."""
+    last = frames - 1
+    first = min(round(meeting.start * fps), last)
+    return slice(first, max(first, round(min(meeting.end * fps, last))) + 1)
 
 
 def _course(figures: tuple[Figure, Figure], pair: Pair, fps: float) -> FloatArray:

@@ -9,13 +9,18 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from generator.finishing.apart import TOLERATED, overlap, push_apart
+from generator.finishing.approach import step_nearer
 from generator.finishing.bones import rigid_points
 from generator.finishing.corrections import bridge, runs
 from generator.finishing.denoise import denoise, noise_of
+from generator.finishing.feet import plant_feet
 from generator.finishing.figure import Figure
 from generator.finishing.limbs import move_end
 from generator.finishing.resample import resample, resample_labels, resample_rotations
+from generator.finishing.settings import Finishing
+from generator.finishing.touches import Meeting, nearest_touches
 from generator.kinematics import to_wxyz
+from generator.motion import Contact
 from robots.skeleton import human_skeleton
 
 SKELETON = human_skeleton()
@@ -48,6 +53,16 @@ def test_an_accent_keeps_its_height_and_its_moment() -> None:
     out = denoise(clean + 0.003 * rng.standard_normal(clean.shape))[:, 0, 0]
     assert int(np.argmax(out)) == int(np.argmax(strike))
     assert out.max() > 0.92 * strike.max()
+
+
+def test_waving_is_not_taken_for_noise() -> None:
+    """Five frames of 7.5 a second hold a whole wave, and hands wave for half of a clip."""
+    rng = np.random.default_rng(3)
+    times = np.arange(60) / 7.5
+    waving = np.where(times < 4.4, 0.15 * np.sin(2 * np.pi * 1.2 * times), 0.0)
+    clean = np.repeat(waving[:, None, None], 3, axis=2)
+    out = denoise(clean + 0.001 * rng.standard_normal(clean.shape))
+    assert np.abs(out - clean).max() < 0.01
 
 
 def test_without_strength_nothing_changes() -> None:
@@ -169,3 +184,76 @@ def test_people_inside_each_other_come_apart() -> None:
     assert overlap((a, b)).max() > 0.05
     push_apart((a, b), 30.0)
     assert overlap((a, b)).max() < TOLERATED + 0.005
+
+
+def standing(x: float, frames: int = 30) -> Figure:
+    still = np.tile([1.0, 0.0, 0.0, 0.0], (frames, len(SKELETON), 1))
+    return Figure(SKELETON, np.tile([x, 0.0, 0.95], (frames, 1)), still)
+
+
+def hands(gap: float = 0.06) -> list[Contact]:
+    return [Contact("right_hand", "right_hand", 0.2, 0.6, gap)]
+
+
+@pytest.mark.parametrize(("miss", "each"), [(0.10, 0.0), (0.36, 0.12), (0.60, 0.15)])
+def test_people_step_nearer_by_what_arms_should_not_close(miss: float, each: float) -> None:
+    people = standing(0.0), standing(1.0)
+    before = [person.points.copy() for person in people]
+    assert step_nearer(people, 30.0, hands(1.0 - miss), Finishing()) == pytest.approx(each)
+    for person, was, way in zip(people, before, (1, -1), strict=True):
+        moved = person.points - was
+        np.testing.assert_allclose(
+            moved, np.broadcast_to((way * each, 0, 0), moved.shape), atol=1e-9
+        )
+
+
+def test_nobody_steps_into_the_other_or_after_what_is_out_of_reach() -> None:
+    wide, far = (standing(0.0), standing(0.45)), (standing(0.0), standing(1.5))
+    room = overlap(wide).max()
+    assert room < TOLERATED
+    step_nearer(wide, 30.0, hands(), Finishing(max_step=0.5))
+    assert overlap(wide).max() < TOLERATED
+    assert step_nearer(far, 30.0, hands(), Finishing()) == 0.0
+    near = standing(0.0), standing(0.6)
+    assert step_nearer(near, 30.0, hands(), Finishing(max_step=0.0)) == 0.0
+
+
+def test_both_grips_of_a_circle_are_kept() -> None:
+    """One by one, each of the two would become the nearer, and be the same."""
+    people = standing(0.0), standing(0.6)
+    people[1].shift(np.tile([0.0, 0.1, 0.0], (30, 1)))
+    grips = [
+        Meeting("left_hand", "right_hand", either=True),
+        Meeting("right_hand", "left_hand", either=True),
+    ]
+    found = nearest_touches(people, 30.0, grips)
+    assert {(c.a, c.b) for c in found} == {
+        ("left_hand", "right_hand"),
+        ("right_hand", "left_hand"),
+    }
+
+
+def shuffling(slide: float) -> Figure:
+    """A foot that stands, slides for half a second without being lifted, and stands again."""
+    body = standing(0.0, 60)
+    u = np.clip((np.arange(60) - 22) / 16, 0.0, 1.0)
+    way = (slide * u**3 * (10 - 15 * u + 6 * u**2))[:, None] * (1.0, 0.0, 0.0)
+    for side, moved in (("left", way), ("right", 0 * way)):
+        goal = body.point(f"{side}_ankle") + moved + (0.0, 0.0, 0.1)
+        move_end(body, f"{side}_hip", f"{side}_knee", f"{side}_ankle", goal)
+    return body
+
+
+@pytest.mark.parametrize("slide", [0.16, 0.25])
+def test_a_foot_that_goes_to_another_place_is_lifted(slide: float) -> None:
+    body = shuffling(slide)
+    down, _ = plant_feet(body, 30.0, None, Finishing())
+    toe = body.point("left_foot")
+    assert down[:20, 1].all()
+    assert down[42:, 1].all()
+    assert toe[50, 0] - toe[5, 0] == pytest.approx(slide, abs=0.04)
+    height = toe[:, 2] - toe[0, 2]
+    quick = np.linalg.norm(np.diff(toe[:, :2], axis=0), axis=1) * 30 > 0.3
+    assert quick.any()
+    assert np.maximum(height[1:], height[:-1])[quick].min() > 0.004
+    assert height.max() > 0.15 * slide
