@@ -143,11 +143,15 @@ def facts_of(studio: Studio) -> dict[str, Any]:
 
 
 def as_motion(studio: Studio, features: FloatArray, text: str, seed: int) -> DuetMotion:
-    """Return the motion of features ``[T, 2, 262]``, played at the tempo that is asked for."""
+    """Return the motion of features ``[T, 2, 262]``, played at the tempo that is asked for.
+
+    Rotations are those that were drawn: keypoints alone do not tell how head and limbs are turned.
+    """
     provenance = studio.model.provenance
     return decode(
         features,
         studio.fps,
+        rotations="features",
         text=text,
         seed=seed,
         source=provenance.source,

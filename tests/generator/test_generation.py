@@ -15,7 +15,7 @@ import pytest
 
 from generator.architecture import DenoiserConfig
 from generator.diffusion import cosine_alphas
-from generator.features import POSITIONS, encode
+from generator.features import POSITIONS, ROTATIONS, encode, from_sixd
 from generator.io import write_motion
 from generator.motion import DuetMotion
 from generator.provenance import Provenance
@@ -109,6 +109,17 @@ def test_a_choreography_has_no_jump_where_parts_meet(model) -> None:
     edges = np.concatenate([ends - overlap, ends])
     at = discontinuity(motion)[(edges[:, None] + np.arange(-2, 1)).ravel()]
     assert at.max() < np.percentile(alone, 99), "a jump at a seam"
+
+
+def test_limbs_are_turned_as_they_were_drawn(model) -> None:
+    """Positions do not tell the spin of a bone, nor where a head looks."""
+    motion, _ = made(frames=20)
+    drawn = draw(model, Encoder().encode(["they sway"]), 20, model.sampling.sampler(), seed=0)[0]
+    kept, true = (
+        from_sixd(features[..., ROTATIONS].reshape(-1, 6))
+        for features in (encode(motion), drawn[:-1])
+    )
+    np.testing.assert_allclose(kept, true, atol=1e-6)
 
 
 def test_what_was_drawn_before_is_what_the_next_part_goes_on_from(model) -> None:
