@@ -10,7 +10,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 WORKERS ?= auto
 PARALLEL := -n $(WORKERS) --maxprocesses=8 --dist=worksteal
 
-.PHONY: help demo test test-fast check format bench bench-track results clean
+.PHONY: help demo test test-fast check format bench bench-track results strip clean
 
 help:
 	@echo "make demo       install, then turn a sentence into two moving puppets (out/)"
@@ -20,6 +20,7 @@ help:
 	@echo "make bench      benchmarks, one figure each"
 	@echo "make bench-track  hours: controllers on 126 duets; may be stopped and goes on"
 	@echo "make results    hours: every figure of docs/results.md; may be stopped and goes on"
+	@echo "make strip      the picture of eight sentences in the README"
 	@echo "make clean      remove .venv and everything built"
 
 demo: $(VENV)/.installed
@@ -63,6 +64,9 @@ results: $(VENV)/.installed-dev
 	$(BIN)/python -m benchmarks.results --train-ablations
 	$(BIN)/python -m benchmarks.results
 	$(BIN)/python -m benchmarks.results.table
+
+strip: $(VENV)/.installed-dev
+	$(BIN)/python -m benchmarks.strip $(STRIP)
 
 clean:
 	rm -rf $(VENV) build dist out .pytest_cache .ruff_cache .hypothesis .import_linter_cache

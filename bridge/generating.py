@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
+from generator.model_folder import shipped_folder
 from generator.motion import DuetMotion
 from robots.errors import SpecError, nearest
 
@@ -19,9 +20,14 @@ if TYPE_CHECKING:  # networks are loaded by the generators that need them
 Progress = Callable[[float], None]
 
 GENERATORS = ("choreographer", "diffusion", "intergen")
-"""Who turns sentences into motion, the default first."""
+"""Who turns sentences into motion."""
 FPS = 30.0
 """Frames per second of a finished motion."""
+
+
+def default_generator() -> str:
+    """Return who turns sentences into motion if nobody is named: the model, if one ships."""
+    return "choreographer" if shipped_folder() is None else "diffusion"
 
 
 def no_progress(_: float) -> None:
@@ -34,7 +40,7 @@ def make(
     seed: int = 0,
     nearest_known: bool = False,
     style: Mapping[str, float] | None = None,
-    generator: str = GENERATORS[0],
+    generator: str | None = None,
     intergen: IntergenRequest | None = None,
     diffusion: DiffusionRequest | None = None,
     raw: bool = False,
@@ -47,9 +53,9 @@ def make(
     Args:
         text: The sentence.
         seed: Same seed, same machine: same motion.
-        nearest_known: The choreographer takes the nearest interaction it knows.
+        nearest_known: Take the nearest interaction of the repertoire for a sentence outside.
         style: Numbers of the style that the choreographer takes instead of the sentence's.
-        generator: Who, of :data:`GENERATORS`.
+        generator: Who, of :data:`GENERATORS`; :func:`default_generator` by default.
         intergen: Which model, and what is given of the motion, for ``intergen``.
         diffusion: Which model, and how it is drawn from, for ``diffusion``.
         raw: Leave what a network drew as it is.
@@ -60,6 +66,7 @@ def make(
         CheckpointError: The model is missing or damaged.
         SpecError: There is no such generator, or a setting is out of range.
     """
+    generator = generator or default_generator()
     if generator not in GENERATORS:
         raise SpecError(
             f"no generator '{generator}'",
@@ -70,23 +77,26 @@ def make(
         from generator.choreographer.from_text import generate as choreograph
 
         motion, understood = choreograph(text, seed=seed, nearest=nearest_known, style=style)
-        return motion, {"confidence": round(float(understood.confidence), 4)}
+        confidence = round(float(understood.confidence), 4)
+        return motion, {"generator": generator, "confidence": confidence}
     start = time.process_time()
     if generator == "intergen":
         from generator.intergen import IntergenRequest
         from generator.intergen import generate as draw
 
-        request = intergen or IntergenRequest()
-        raw = raw or request.wants_given
+        wish = intergen or IntergenRequest()
+        raw = raw or wish.wants_given
         if not raw:  # finishing takes jitter out where it is
-            request = replace(request, smoothing=0.0)
-        motion, facts = draw(text, request, seed=seed, progress=progress)
+            wish = replace(wish, smoothing=0.0)
+        motion, facts = draw(text, wish, seed=seed, progress=progress)
     else:
         from generator.runtime.generation import generate as sample
         from generator.runtime.request import DiffusionRequest
 
-        motion, facts = sample(text, diffusion or DiffusionRequest(), seed=seed, progress=progress)
-    facts["cpu_seconds"] = round(time.process_time() - start, 3)
+        request = diffusion or DiffusionRequest()
+        request = replace(request, nearest=request.nearest or nearest_known)
+        motion, facts = sample(text, request, seed=seed, progress=progress)
+    facts |= {"generator": generator, "cpu_seconds": round(time.process_time() - start, 3)}
     if raw:
         return motion, facts
     motion, changes = clean(motion, touches=_meetings(text, facts))
@@ -162,9 +172,10 @@ def _meetings(text: str, facts: dict[str, Any]) -> list[Meeting]:
     """Return who is to meet when, as the sentences of a motion say."""
     from generator.finishing.meant import meetings_of
 
-    found, start = [], 0.0
+    found, start, drawn_as = [], 0.0, facts.get("drawn_as", {})
     for part in facts.get("parts", [{"text": text, "end": math.inf}]):
-        found += meetings_of(part["text"], start, part["end"])
+        said = drawn_as.get(part["text"], part["text"])
+        found += meetings_of(said, start, part["end"])
         start = part["end"]
     return found
 

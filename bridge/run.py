@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bridge import stages
+from bridge.generating import default_generator
 from bridge.sources import FROM_FILE, MotionRequest, load_robots
-from bridge.stages import GENERATORS, Progress
+from bridge.stages import Progress
 from bridge.stop import stop_on_signals
 from robots.errors import RenderError
 from robots.files import plain, write_json
@@ -43,14 +44,14 @@ class RunSettings:
     """Folder for everything."""
     seed: int = 0
     """Of the generator."""
-    generator: str = GENERATORS[0]
+    generator: str = field(default_factory=default_generator)
     """Who turns sentences into motion."""
     intergen: IntergenRequest | None = None
     """Which model, and what is given, if that is InterGen."""
     diffusion: DiffusionRequest | None = None
     """Which model, if that is one without torch."""
     nearest: bool = False
-    """Take the nearest interaction for a sentence outside the repertoire."""
+    """Take the nearest interaction of the repertoire for a sentence outside."""
     style: Mapping[str, float] = field(default_factory=dict)
     """Numbers of the style that the choreographer takes instead of the sentence's."""
     raw: bool = False

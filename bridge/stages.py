@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 from bridge.gate import RETARGETING, vouch
 from bridge.generating import (
     FPS,
-    GENERATORS,
     Progress,
     clean,
     describe,
@@ -71,7 +70,7 @@ def generate(
     *,
     seed: int = 0,
     nearest_known: bool = False,
-    generator: str = GENERATORS[0],
+    generator: str | None = None,
     intergen: IntergenRequest | None = None,
     diffusion: DiffusionRequest | None = None,
     style: Mapping[str, float] | None = None,
@@ -97,7 +96,7 @@ def generate(
         progress=progress,
     )
     write_motion(motion, out)
-    return {"text": motion.text, "generator": generator, **facts, **describe(motion)}
+    return {"text": motion.text, **facts, **describe(motion)}
 
 
 def generate_group(

@@ -20,8 +20,15 @@ from typing import Any
 from robots.errors import CheckpointError, DuetError, nearest
 
 HEADER = "model.json"
+SHIPPED = Path(__file__).parent / "runtime" / "shipped"
+"""The model that comes with the package, if one does."""
 MAX_HEADER_BYTES = 16 * 2**20
 _FILE_NAME = re.compile(r"[a-z]+-[0-9a-f]{16}\.[a-z]+")
+
+
+def shipped_folder() -> Path | None:
+    """Return the folder of the model that comes with the package; ``None`` if none does."""
+    return SHIPPED if (SHIPPED / HEADER).is_file() else None
 
 
 def read_header(folder: str | Path) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from bridge.cli.generator_options import (
     style_request,
 )
 from bridge.cli.options import add_seed, in_folder
+from bridge.cli.tables import understood
 
 if TYPE_CHECKING:
     from generator.runtime.request import DiffusionRequest
@@ -51,12 +52,10 @@ def execute(args: argparse.Namespace, console: Console) -> int:
             raw=args.raw,
             progress=progress,
         )
-    if intergen is None and diffusion is None:
-        how = f"{facts['interaction']} ({facts['confidence']:.0%} sure)"
-    else:
-        how = f"{facts['model']}, {facts['steps']} steps"
-        how += ", finished" if "finishing" in facts else ""
-    console.show(f"{out}: {how}, {facts['frames']} frames at {facts['fps']:g} Hz")
+    how = [f"{facts['interaction'] or facts['model']} by {facts['generator']}", *understood(facts)]
+    how += [f"{facts['steps']} steps"] if "steps" in facts else []
+    how += ["finished"] if "finishing" in facts else []
+    console.show(f"{out}: {', '.join(how)}, {facts['frames']} frames at {facts['fps']:g} Hz")
     console.result({"file": str(out), **facts})
     return 0
 

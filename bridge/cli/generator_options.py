@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from bridge.generating import GENERATORS
+from bridge.generating import GENERATORS, default_generator
 from robots.errors import SpecError
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 _STYLE = {"tempo": "speed", "energy": "energy", "amplitude": "amplitude"}
 """Options of the manner, and fields of the choreographer's style."""
-_DIFFUSION = ("weights", "frames", "seconds", "threads", "people")
+_DIFFUSION = ("weights", "frames", "seconds", "threads", "people", "nearest")
 _INTERGEN = (
     "weights", "frames", "seconds", "threads", "solver", "precision", "given", "given_person",
     "path_a", "path_b", "start", "end", "strength",
@@ -41,14 +41,15 @@ def add_generator(parser: argparse.ArgumentParser, *, speed: Sequence[str] = ())
     parser.add_argument(
         "--generator",
         choices=GENERATORS,
-        default=GENERATORS[0],
-        help="who turns the sentence into motion: composed movements (choreographer, default), a"
-        " diffusion model without torch (diffusion), or with it (intergen)",
+        default=default_generator(),
+        help="who turns the sentence into motion: composed movements (choreographer), a diffusion"
+        " model without torch (diffusion), or with it (intergen); default %(default)s",
     )
     parser.add_argument(
         "--nearest",
         action="store_true",
-        help="choreographer: for a sentence outside the repertoire, the nearest interaction",
+        help="choreographer, diffusion: for a sentence outside the repertoire, the nearest"
+        " interaction",
     )
     _add_manner(parser.add_argument_group("manner, for choreographer and diffusion"), speed)
     _add_model(parser.add_argument_group("models, for diffusion and intergen"))

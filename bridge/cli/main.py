@@ -34,6 +34,7 @@ VERBS = {
     "robots": "list, show and check the servo robots",
     "curate": "a configuration's invented clips to those that physics repaired or let pass",
     "train": "configuration and clips to a model that turns sentences into motion",
+    "pack": "trained model to a folder that runs without torch, and may ship",
     "evaluate": "model to a table of figures against real motions, those first",
     "scan": "find the servos on a bus: ids, bit rates, models, clashes",
     "setup-id": "give the one servo on a bus its id and bit rate, or restore a backup",

@@ -39,13 +39,22 @@ def show_summary(console: Console, summary: dict[str, Any]) -> None:
     console.table(title, ["", "how it went", "s"], rows)
 
 
+def understood(motion: dict[str, Any]) -> list[str]:
+    """Return what the sentences of a motion were taken to mean, as people read it."""
+    if "confidence" in motion:
+        return [f"{motion['confidence']:.0%} sure"]
+    return [f"{m['interaction']} {m['confidence']:.0%} sure" for m in motion.get("understood", ())]
+
+
 def _lines(summary: dict[str, Any]) -> list[tuple[str, tuple[str, str]]]:
     times = summary["stage_seconds"]
     motion, report, tracking = summary["motion"], summary["report"], summary["tracking"]
     retargeting, performance = summary["retargeting"], summary["performance"]
     what = motion["interaction"] or motion.get("model") or "from a file"
-    if "confidence" in motion:
-        what += f", {motion['confidence']:.0%} sure"
+    if "generator" in motion:
+        what += f" by {motion['generator']}"
+    for meaning in understood(motion):
+        what += f", {meaning}"
     off = tracking["mpjpe_global_mm"]
     lines = [
         (

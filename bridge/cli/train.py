@@ -26,8 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--portable",
         type=Path,
         metavar="DIR",
-        help="when all steps are done, also leave the model so that it runs without torch"
-        " (generate --generator diffusion --weights DIR)",
+        help="when all steps are done, also leave the model so that it runs without torch, as"
+        " 'pasdedeux pack' does",
     )
     parser.add_argument(
         "--precision",
@@ -82,11 +82,9 @@ def execute(args: argparse.Namespace, console: Console) -> int:
     made = str(args.portable) if args.portable and outcome.finished else None
     if made is not None:
         console.say("writing the portable model")
-        from generator.checkpoint import load
-        from generator.training.portable import write_portable
+        from generator.training.portable import pack
 
-        frames = run.data.frames
-        write_portable(load(out), made, frames=frames, precision=args.precision)
+        pack(out, made, precision=args.precision)
     console.show(
         f"{out}: {outcome.steps} of {outcome.total} steps in {clock(outcome.seconds)}"
         + ("" if outcome.finished else "; go on with --resume")

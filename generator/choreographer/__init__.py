@@ -17,7 +17,7 @@ from generator.choreographer import (
     talks,
 )
 from generator.choreographer.checks import Examination, examine
-from generator.choreographer.compose import LICENCE, SOURCE, choreograph
+from generator.choreographer.compose import LICENCE, SOURCE, choreograph, touching
 from generator.choreographer.from_text import generate
 from generator.choreographer.interaction import Interaction, lookup, repertoire
 from generator.choreographer.sampling import Tally, random_bodies, random_style, sample
@@ -55,4 +55,5 @@ __all__ = [
     "repertoire",
     "sample",
     "style_ranges",
+    "touching",
 ]

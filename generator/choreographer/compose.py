@@ -10,7 +10,7 @@ from generator.choreographer.arms import pose_arms, slide_into_reach
 from generator.choreographer.interaction import lookup
 from generator.choreographer.pose import Pose
 from generator.choreographer.role import Build
-from generator.choreographer.spacing import pose_trunks, solve
+from generator.choreographer.spacing import USUAL, pose_trunks, solve
 from generator.choreographer.stage import FPS, Stage
 from generator.choreographer.style import Style
 from generator.motion import Contact, DuetMotion, Motion
@@ -58,24 +58,42 @@ def choreograph(
     slide_into_reach(pair)
     pose_arms(pair)
     motions = [pose.motion(FPS) for pose in pair]
-    touches = tuple(stage.touches)
     if left_handed:
         motions = [_mirrored(motion) for motion in motions]
-        touches = tuple(
-            replace(touch, a=_other_side(touch.a), b=_other_side(touch.b)) for touch in touches
-        )
     if style.swap:
         motions = [_turned(motion) for motion in reversed(motions)]
-        touches = tuple(Contact(t.b, t.a, t.start, t.end, t.gap) for t in touches)
     return DuetMotion(
         motions[0],
         motions[1],
         seed=seed,
         source=SOURCE,
         licence=LICENCE,
-        contacts=touches,
+        contacts=_labels(stage),
         interaction=entry.name,
     )
+
+
+def touching(interaction: str, style: Style | None = None) -> tuple[tuple[str, str], ...]:
+    """Return which points of a and b touch in an interaction, without performing it.
+
+    Raises:
+        PromptError: There is no such interaction.
+    """
+    entry = lookup(interaction)
+    build = Build.of(human_skeleton())
+    stage = Stage((build, build), style or Style(), np.random.default_rng(0), USUAL)
+    entry.staging(stage)
+    return tuple(dict.fromkeys((touch.a, touch.b) for touch in _labels(stage)))
+
+
+def _labels(stage: Stage) -> tuple[Contact, ...]:
+    """Return the touches of a stage by the sides of the style, and by who is a and b in it."""
+    touches = tuple(stage.touches)
+    if stage.style.handedness == "left":
+        touches = tuple(replace(t, a=_other_side(t.a), b=_other_side(t.b)) for t in touches)
+    if stage.style.swap:
+        touches = tuple(Contact(t.b, t.a, t.start, t.end, t.gap) for t in touches)
+    return touches
 
 
 def _other_side(name: str) -> str:
@@ -130,4 +148,4 @@ def _labelled(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
     return motion.rotations, motion.foot_contacts
 
 
-__all__ = ["LICENCE", "SOURCE", "choreograph", "mirrored_skeleton"]
+__all__ = ["LICENCE", "SOURCE", "choreograph", "mirrored_skeleton", "touching"]

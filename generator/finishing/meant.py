@@ -1,8 +1,8 @@
 """Which touches a sentence speaks of.
 
 Whoever reads *they shake hands* knows which two points of the people meet, whatever drew the
-motion. The choreographer has that knowledge: it performs what the sentence means, and the touches
-of its performance are what is meant. When they happen is left to the motion.
+motion. The choreographer has that knowledge: the touches of what it would perform are what is
+meant. When they happen is left to the motion.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 
-from generator.choreographer import choreograph
+from generator.choreographer import touching
 from generator.finishing.touches import Meeting
 from generator.text import understand
 from generator.text.understand import LONGEST
@@ -31,7 +31,6 @@ def meetings_of(text: str, start: float = 0.0, end: float = math.inf) -> tuple[M
     meaning = understand(text[:LONGEST])
     if not meaning.known:
         return ()
-    performed = choreograph(meaning.interaction, seed=0, style=meaning.style)
-    pairs = dict.fromkeys((touch.a, touch.b) for touch in performed.contacts)
     either = _SIDE.search(text) is None
+    pairs = touching(meaning.interaction, meaning.style)
     return tuple(Meeting(a, b, start, end, either) for a, b in pairs)

@@ -10,11 +10,13 @@ import numpy as np
 
 from generator.diffusion import SamplerConfig
 from generator.features import decode
+from generator.model_folder import shipped_folder
 from generator.motion import MAX_FRAMES, DuetMotion
 from generator.runtime.accents import accents_of, sentence
 from generator.runtime.drawing import PLAIN, Progress, Steering, draw
 from generator.runtime.network import Floats
-from generator.runtime.portable import SHIPPED, Portable
+from generator.runtime.portable import Portable
+from generator.runtime.repertoire import NOTHING_READ, Reading, read
 from generator.runtime.request import MANNER, DiffusionRequest
 from generator.runtime.sequence import Window, held_beginning, overlap_of, plan, sequence
 from generator.text.encoder import SentenceEncoder, packaged_encoder
@@ -41,20 +43,25 @@ class Studio:
     """How motions are drawn."""
     request: DiffusionRequest
     """Everything that is asked for besides sentences."""
+    reading: Reading = NOTHING_READ
+    """What the sentences mean, if the model knows the repertoire alone."""
 
     def cond(self, text: str) -> Floats:
         """Return the vector ``[1, C]`` of a sentence."""
-        return np.asarray(self.encoder.encode([sentence(text)]), np.float32)
+        return np.asarray(self.encoder.encode([sentence(self._drawn(text))]), np.float32)
 
     def steering(self, text: str) -> Steering:
         """Return what energy and amplitude do to the draw of a sentence."""
-        accents = accents_of(text, self.request, self.encoder)
+        accents = accents_of(self._drawn(text), self.request, self.encoder)
         return Steering(accents=accents) if accents else PLAIN
 
     @property
     def fps(self) -> float:
         """Frames per second at which the motion is played."""
         return self.model.provenance.fps * self.request.tempo
+
+    def _drawn(self, text: str) -> str:
+        return self.reading.instead.get(text, text)
 
 
 def generate(
@@ -75,7 +82,7 @@ def generate(
         progress: Called with the share done, 0 to 1.
 
     Raises:
-        PromptError: A sentence is empty.
+        PromptError: A sentence is empty or outside the repertoire of the model.
         CheckpointError: The model is missing or damaged.
         MotionFileError: A take cannot be read.
         SpecError: A setting is out of range.
@@ -109,7 +116,8 @@ def open_studio(
 
     Raises:
         SpecError: The seed is negative.
-        PromptError: A sentence is empty.
+        PromptError: A sentence is empty, or the model knows the repertoire alone and the sentence
+            is outside.
         CheckpointError: The model is missing or damaged.
     """
     if not all(text.strip() for text in texts):
@@ -125,7 +133,13 @@ def open_studio(
                 " come with it",
                 where=request.weights,
             )
-    return Studio(model, encoder, model.sampling.sampler(request.steps, request.guidance), request)
+    return Studio(
+        model,
+        encoder,
+        model.sampling.sampler(request.steps, request.guidance),
+        request,
+        read(texts, nearest=request.nearest) if model.repertoire else NOTHING_READ,
+    )
 
 
 def facts_of(studio: Studio) -> dict[str, Any]:
@@ -139,6 +153,10 @@ def facts_of(studio: Studio) -> dict[str, Any]:
     }
     facts |= {name: getattr(request, name) for name in MANNER if getattr(request, name) != 1}
     facts |= {k: list(v) for k in ("like", "unlike") if (v := getattr(request, k))}
+    if studio.reading.facts:
+        facts["understood"] = list(studio.reading.facts)
+    if studio.reading.instead:
+        facts["drawn_as"] = dict(studio.reading.instead)
     return facts
 
 
@@ -207,13 +225,14 @@ def chosen_folder(weights: str) -> Path:
     """
     if weights:
         return Path(weights)
-    if not SHIPPED.is_dir():
+    shipped = shipped_folder()
+    if shipped is None:
         raise CheckpointError(
             "no model ships with this version",
             hint="name one with --weights (pasdedeux train makes them), or take --generator"
             " choreographer",
         )
-    return SHIPPED
+    return shipped
 
 
 def _one(

@@ -21,8 +21,7 @@ FORMAT = "pasdedeux-intergen"
 VERSION = 1
 """The same folder, with its ``weights``, is also a model for torch."""
 NETWORK = "network"
-SHIPPED = Path(__file__).parent / "shipped"
-"""The model that comes with the package."""
+REPERTOIRE = "repertoire"
 
 Precision = Literal["float32", "float16", "int8"]
 PRECISIONS: tuple[Precision, ...] = ("float32", "float16", "int8")
@@ -91,6 +90,8 @@ class Portable:
     """How motions are best drawn."""
     text_encoder: str = "minilm"
     """Kind of the sentence encoder."""
+    repertoire: bool = False
+    """Whether it has seen the choreographer's repertoire and nothing else."""
 
     def __post_init__(self) -> None:
         """Validate."""
@@ -117,7 +118,7 @@ class Portable:
             raise CheckpointError(
                 "this model has no network that runs without torch",
                 where=where,
-                hint="make one with pasdedeux train --portable, or use --generator intergen",
+                hint="make one with pasdedeux pack, or use --generator intergen",
             )
         path = checked_file(folder, header, NETWORK)
         sampling = from_json(Sampling, header.get("sampling"), where)
@@ -131,6 +132,7 @@ class Portable:
                 from_json(Provenance, header.get("provenance"), where),
                 sampling,
                 str(header.get("text_encoder", "")),
+                header.get(REPERTOIRE) is True,
             )
         except CheckpointError as error:
             raise CheckpointError(

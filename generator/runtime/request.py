@@ -46,6 +46,8 @@ class DiffusionRequest:
     """Takes to keep away from."""
     people: int = 2
     """How many take part."""
+    nearest: bool = False
+    """Draw the nearest interaction for a sentence outside the repertoire of the model."""
 
     def __post_init__(self) -> None:
         """Validate."""

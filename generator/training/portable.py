@@ -23,10 +23,12 @@ from generator import checkpoint
 from generator.denoiser import Denoiser
 from generator.diffusion import STEPS
 from generator.model import InterGen
-from generator.model_folder import place_file, remove_others
+from generator.model_folder import HEADER, place_file, read_header, remove_others
 from generator.runtime.network import INPUTS, OUTPUT, Network
-from generator.runtime.portable import NETWORK, PRECISIONS, Precision, Sampling
-from generator.training.card import CARD, model_card
+from generator.runtime.portable import NETWORK, PRECISIONS, REPERTOIRE, Precision, Sampling
+from generator.training.card import CARD, Figures, model_card
+from generator.training.config import load_config
+from generator.training.train import CONFIG
 from robots.errors import CheckpointError, MotionFileError, SpecError
 from robots.files import whole_file
 
@@ -58,6 +60,58 @@ class _Traceable(nn.Module):
         return self.denoiser.denoise(x, modulations.squeeze(3))
 
 
+def pack(
+    run: str | Path,
+    folder: str | Path,
+    *,
+    precision: Precision = "float16",
+    sampling: Mapping[str, Any] | None = None,
+    figures: Figures | None = None,
+) -> dict[str, int]:
+    """Write the model of a run for use without torch; return the bytes of each file.
+
+    The same run and the same wishes leave the same files.
+
+    Args:
+        run: Folder that ``pasdedeux train`` left, finished or not.
+        folder: Made if it does not exist; an older model in it is replaced.
+        precision: Of the network.
+        sampling: Settings of :class:`~generator.runtime.portable.Sampling`, besides the length.
+        figures: What was measured of the model, for its card.
+
+    Raises:
+        CheckpointError: There is no such model, or one of the reasons of :func:`write_portable`.
+        SpecError: There is no such precision, or a setting is out of range.
+    """
+    model = checkpoint.load(run)
+    frames = model.provenance.training.get("frames")
+    if not isinstance(frames, int):
+        raise CheckpointError(
+            "the model does not say how long its motions may be",
+            where=str(run),
+            hint="pack the folder of a run, which 'pasdedeux train' left",
+        )
+    write_portable(
+        model,
+        folder,
+        frames=frames,
+        precision=precision,
+        sampling=sampling,
+        repertoire=_knows_the_repertoire_alone(Path(run)),
+        figures=figures,
+    )
+    header = read_header(folder)
+    names = (HEADER, CARD, header["weights"]["file"], header[NETWORK]["file"])
+    return {name: (Path(folder) / name).stat().st_size for name in names}
+
+
+def _knows_the_repertoire_alone(run: Path) -> bool:
+    """Return whether all that a run learns from was invented by the choreographer."""
+    if not (run / CONFIG).is_file():
+        return read_header(run).get(REPERTOIRE) is True
+    return {source.kind for source in load_config(run / CONFIG).data.source} == {"choreographed"}
+
+
 def write_portable(
     model: InterGen,
     folder: str | Path,
@@ -65,6 +119,8 @@ def write_portable(
     frames: int,
     precision: Precision = "float16",
     sampling: Mapping[str, Any] | None = None,
+    repertoire: bool = False,
+    figures: Figures | None = None,
 ) -> Path:
     """Write a model for use without torch, whole or not at all; return the path of its network.
 
@@ -74,6 +130,9 @@ def write_portable(
         frames: Longest motion that may be drawn.
         precision: Of the network.
         sampling: Settings of :class:`~generator.runtime.portable.Sampling`.
+        repertoire: Whether it has seen the choreographer's repertoire and nothing else; it is not
+            drawn from for other sentences.
+        figures: What was measured of it, for its card.
 
     Raises:
         CheckpointError: The package ``onnx`` is missing, the model has no statistics, the network
@@ -101,12 +160,13 @@ def write_portable(
         NETWORK: {**entry, "precision": precision},
         "statistics": statistics,
         "sampling": asdict(chosen),
+        REPERTOIRE: repertoire,
     }
     checkpoint.save(model, folder, half=True, **header)
     remove_others(folder, entry)
     try:
         with whole_file(folder / CARD) as file:
-            file.write(model_card(model, chosen, precision).encode())
+            file.write(model_card(model, chosen, precision, repertoire, figures).encode())
     except MotionFileError as error:
         raise CheckpointError(f"cannot be written: {error}", where=str(folder)) from error
     return folder / entry["file"]
@@ -139,11 +199,13 @@ def write_network(
             f"writing a network needs the package '{error.name}'", hint=INSTALL
         ) from error
     with tempfile.TemporaryDirectory() as scratch:
-        plain = Path(scratch) / "plain.onnx"
-        _trace(denoiser, plain, frames)
+        traced, plain = Path(scratch) / "traced.onnx", Path(scratch) / "plain.onnx"
+        _trace(denoiser, traced, frames)
         if precision == "int8":
-            _quantise(plain, Path(path))
+            _quantise(traced, plain)
+            _simplify(plain, Path(path))
             return
+        _simplify(traced, plain)
         network = onnx.load(plain)
         if precision == "float16":
             _store_half(network)
@@ -174,6 +236,22 @@ def _trace(denoiser: Denoiser, path: Path, frames: int) -> None:
             output_names=[OUTPUT],
             dynamic_axes=axes,
         )
+
+
+def _simplify(source: Path, target: Path) -> None:
+    """Write a network without what can be computed beforehand, in operators of the standard.
+
+    The trace holds the arithmetic of its shapes, thousands of nodes; who loads the network would
+    spend more time on getting rid of them than on a step of sampling.
+    """
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_BASIC
+    options.optimized_model_filepath = str(target)
+    options.log_severity_level = 3
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    onnxruntime.InferenceSession(str(source), options, providers=["CPUExecutionProvider"])
 
 
 def _quantise(source: Path, target: Path) -> None:

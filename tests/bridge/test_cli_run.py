@@ -33,6 +33,8 @@ FAMILIAR = (
     *("help_up", "twirl", "tug_of_war", "cha_cha"),
 )
 """Some interactions of every kind; each takes seconds."""
+COMPOSED = ("--generator", "choreographer")
+"""Whatever model ships."""
 ASSIST = ("--controller", "assist")
 """Quick; which controller it is does not matter here."""
 
@@ -40,7 +42,8 @@ ASSIST = ("--controller", "assist")
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("demo") / "out"
-    assert main(["run", "two people shake hands", "-o", str(out), "--seed", "3", *ASSIST]) == 0
+    words = ["run", "two people shake hands", *COMPOSED, "-o", str(out), "--seed", "3", *ASSIST]
+    assert main(words) == 0
     return out
 
 
@@ -57,6 +60,7 @@ def test_run_leaves_every_file(demo: Path) -> None:
 def test_summary_says_how_every_stage_went(demo: Path) -> None:
     summary = json.loads((demo / "summary.json").read_text())
     assert summary["motion"]["interaction"] == "handshake"
+    assert summary["motion"]["generator"] == "choreographer"
     assert summary["report"]["passed"] is True
     assert summary["retargeting"]["contact_recall"] >= 0.9
     for robot in ("a", "b"):
@@ -77,7 +81,8 @@ def test_every_stage_alone_gives_what_run_gives(demo: Path, tmp_path: Path) -> N
     def go(*arguments: str | Path) -> None:
         assert main([str(word) for word in arguments]) == 0
 
-    go("generate", "two people shake hands", "--seed", "3", "-o", tmp_path / "motion.npz")
+    words = ("generate", "two people shake hands", *COMPOSED)
+    go(*words, "--seed", "3", "-o", tmp_path / "motion.npz")
     same(tmp_path / "motion.npz", demo / "motion.npz")
     go("track", tmp_path / "motion.npz", "-o", tmp_path, *ASSIST)
     same(tmp_path / "rollout.npz", demo / "rollout.npz")

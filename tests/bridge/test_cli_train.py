@@ -309,7 +309,7 @@ def test_an_evaluation_runs_on_a_trained_model(clips: Path, trained: Path, capsy
 @pytest.mark.parametrize(
     "arguments",
     [["--help"], ["generate", "--help"], ["train", "--help"], ["evaluate", "--help"],
-     ["generate", "two people wave", "-o", "OUT"], ["robots"]],
+     ["generate", "two people wave", "--generator", "choreographer", "-o", "OUT"], ["robots"]],
 )  # fmt: skip
 def test_torch_stays_out_of_what_does_not_need_it(arguments: list[str], tmp_path: Path) -> None:
     arguments = [str(tmp_path / "m.npz") if a == "OUT" else a for a in arguments]

@@ -57,7 +57,8 @@ def test_installed_wheel_generates_a_duet_outside_the_checkout(
 ) -> None:
     code = "import sys, bridge.cli; print(bridge.__file__); sys.exit(bridge.cli.main(sys.argv[1:]))"
     done = run_outside(
-        installed, tmp_path, "-c", code, "generate", "they shake hands", "-o", "m.npz"
+        *(installed, tmp_path, "-c", code, "generate", "they shake hands", "-o", "m.npz"),
+        *("--generator", "choreographer"),
     )
     assert done.returncode == 0, done.stderr
     assert str(installed) in done.stdout

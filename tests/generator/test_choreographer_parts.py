@@ -19,6 +19,7 @@ from generator.choreographer import (
     lookup,
     repertoire,
     style_ranges,
+    touching,
 )
 from generator.choreographer.arms import LONGEST, SHORTEST, within_reach
 from generator.choreographer.clearance import segment_distance
@@ -271,3 +272,10 @@ def test_bodies_with_unequal_limbs_keep_them_and_still_meet(name, hand):
     for contact in duet.contacts:
         inside = (duet.a.times >= contact.start) & (duet.a.times <= contact.end)
         assert np.abs(duet.gap(contact)[inside] - contact.gap).max() < 0.01
+
+
+@pytest.mark.parametrize("name", ["handshake", "hug", "help_up", "tap_shoulder", "wave", "cha_cha"])
+@pytest.mark.parametrize("style", [Style(), Style(handedness="left", swap=True)])
+def test_who_touches_whom_is_known_without_a_performance(name: str, style: Style) -> None:
+    performed = choreograph(name, seed=3, style=style).contacts
+    assert set(touching(name, style)) == {(touch.a, touch.b) for touch in performed}

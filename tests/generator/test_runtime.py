@@ -239,7 +239,7 @@ def test_writing_again_replaces_the_old_model(tmp_path):
 
 
 def test_without_a_model_of_its_own_the_package_says_what_to_do(monkeypatch, tmp_path):
-    monkeypatch.setattr("generator.runtime.generation.SHIPPED", tmp_path / "none")
+    monkeypatch.setattr("generator.model_folder.SHIPPED", tmp_path / "none")
     with pytest.raises(CheckpointError, match="no model ships"):
         chosen_folder("")
 
