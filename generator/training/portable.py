@@ -199,14 +199,13 @@ def write_network(
             f"writing a network needs the package '{error.name}'", hint=INSTALL
         ) from error
     with tempfile.TemporaryDirectory() as scratch:
-        traced, plain = Path(scratch) / "traced.onnx", Path(scratch) / "plain.onnx"
+        traced, quantised = Path(scratch) / "traced.onnx", Path(scratch) / "quantised.onnx"
         _trace(denoiser, traced, frames)
         if precision == "int8":
-            _quantise(traced, plain)
-            _simplify(plain, Path(path))
+            _quantise(traced, quantised)
+            _simplify(quantised, Path(path))
             return
-        _simplify(traced, plain)
-        network = onnx.load(plain)
+        network = onnx.load(traced)
         if precision == "float16":
             _store_half(network)
         onnx.save(network, str(path))
