@@ -15,6 +15,10 @@ pelvis, neck and collars from the chest), whose angles belong to the body. With 
 which molecular dynamics knows as SHAKE (Ryckaert et al. 1977) with the matrix inverted. Steps
 converge quadratically; whole clips are solved at once, 27 unknowns per frame. Hands and feet so get
 their share of the correction and no more.
+
+Distances do not tell a body from its mirror image, and hips, pelvis and lower spine are so nearly
+in one plane that noise puts them on its wrong side: the pelvis would be turned round for a frame.
+So these groups start from where they fit as one rigid piece (Kabsch 1976).
 """
 
 from __future__ import annotations
@@ -73,6 +77,8 @@ def rigid_points(skeleton: Skeleton, points: NDArray) -> FloatArray:
     incidence[np.arange(len(first)), second] = 1.0
     shared = incidence @ incidence.T
     out = np.array(points, dtype=float)
+    for group in _groups(skeleton.parents):
+        out[:, group] = _as_one_piece(skeleton, out[:, group], group)
     for _ in range(_ROUNDS):
         rods = out[:, second] - out[:, first]
         excess = 0.5 * (np.einsum("tri,tri->tr", rods, rods) - length**2)
@@ -82,6 +88,23 @@ def rigid_points(skeleton: Skeleton, points: NDArray) -> FloatArray:
         tension = np.linalg.solve(system, excess[..., None])
         out -= incidence.T @ (tension * rods)
     return out
+
+
+def _as_one_piece(skeleton: Skeleton, points: NDArray, group: list[int]) -> FloatArray:
+    """Return points ``[T, G, 3]`` m of a keypoint and its children at their angles, but moved."""
+    rest = np.concatenate([np.zeros((1, 3)), skeleton.offsets[group[1:]]])
+    rest = rest - rest.mean(axis=0)
+    middle = points.mean(axis=1, keepdims=True)
+    u, _, vt = np.linalg.svd(np.einsum("tgi,gj->tij", points - middle, rest))
+    u[..., -1] *= np.where(np.linalg.det(u @ vt) < 0, -1.0, 1.0)[:, None]
+    return middle + rest @ np.swapaxes(u @ vt, -1, -2)
+
+
+@cache
+def _groups(parents: tuple[int, ...]) -> list[list[int]]:
+    """Return each keypoint that has several children, with them."""
+    families = [[i, *(j for j, p in enumerate(parents) if p == i)] for i in range(len(parents))]
+    return [family for family in families if len(family) > 2]
 
 
 @cache

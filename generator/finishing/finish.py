@@ -25,6 +25,7 @@ from generator.finishing.touches import (
     settled,
     without_conflicts,
 )
+from generator.kinematics import continuous
 from generator.motion import Contact, DuetMotion, Motion
 from robots.errors import MotionError
 from robots.skeleton import FloatArray, Skeleton
@@ -169,7 +170,7 @@ def _body(
     points = denoise(person.keypoints, settings.smoothing, _USUAL)
     turns = person.rotations
     if turns is not None:
-        turns = denoise(turns, settings.smoothing, _USUAL_TURN)
+        turns = denoise(continuous(turns), settings.smoothing, _USUAL_TURN)
         turns /= np.linalg.norm(turns, axis=-1, keepdims=True)
     keep = skeleton is not None
     fitted, root, rotations = fit_bones(skeleton or person.skeleton, points, turns, keep=keep)

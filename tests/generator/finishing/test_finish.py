@@ -88,6 +88,19 @@ def test_hands_are_fast_when_they_were(handshake: DuetMotion) -> None:
     assert max(match) > 0.8
 
 
+def test_the_signs_of_quaternions_do_not_matter(handshake: DuetMotion) -> None:
+    """A quaternion and its opposite are one rotation; a reader's jump between them is no noise."""
+    spoilt = spoil(handshake, 4)
+    rng = np.random.default_rng(0)
+    people = []
+    for person in spoilt.people:
+        assert person.rotations is not None
+        signs = rng.choice([-1.0, 1.0], person.rotations.shape[:2])[..., None]
+        people.append(replace(person, rotations=person.rotations * signs))
+    turned = finish(replace(spoilt, a=people[0], b=people[1]))
+    np.testing.assert_allclose(turned.keypoints, finish(spoilt).keypoints, atol=1e-6)
+
+
 def test_what_is_clean_stays_as_it_is(handshake: DuetMotion) -> None:
     made = finish(handshake)
     moved = np.linalg.norm(made.keypoints - handshake.keypoints, axis=-1)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from generator.finishing.apart import TOLERATED, overlap, push_apart
 from generator.finishing.approach import step_nearer
-from generator.finishing.bones import rigid_points
+from generator.finishing.bones import fit_bones, rigid_points
 from generator.finishing.corrections import bridge, runs
 from generator.finishing.denoise import denoise, noise_of
 from generator.finishing.feet import plant_feet
@@ -56,13 +56,13 @@ def test_an_accent_keeps_its_height_and_its_moment() -> None:
 
 
 def test_waving_is_not_taken_for_noise() -> None:
-    """Five frames of 7.5 a second hold a whole wave, and hands wave for half of a clip."""
+    """Five frames of 7.5 a second hold a whole wave, and hands wave for most of a clip."""
     rng = np.random.default_rng(3)
     times = np.arange(60) / 7.5
-    waving = np.where(times < 4.4, 0.15 * np.sin(2 * np.pi * 1.2 * times), 0.0)
+    waving = np.where(times < 5.2, 0.15 * np.sin(2 * np.pi * 2.0 * times), 0.0)
     clean = np.repeat(waving[:, None, None], 3, axis=2)
     out = denoise(clean + 0.001 * rng.standard_normal(clean.shape))
-    assert np.abs(out - clean).max() < 0.01
+    assert np.abs(out - clean).max() < 0.02
 
 
 def test_without_strength_nothing_changes() -> None:
@@ -81,6 +81,16 @@ def test_bones_become_exact_and_points_move_little(seed: int, breath: float) -> 
     lengths = np.linalg.norm(rigid[:, 1:] - rigid[:, parents], axis=-1)
     np.testing.assert_allclose(lengths, np.tile(SKELETON.bone_lengths[1:], (4, 1)), atol=2e-3)
     assert np.linalg.norm(rigid - points) <= np.linalg.norm(body.points - points) + 1e-3
+
+
+def test_noise_does_not_turn_a_pelvis_round() -> None:
+    """Hips and lower spine came out in the mirror now and then: it span by 120 degrees."""
+    points = standing(0.0, 300).points.copy()
+    points += 0.04 * np.random.default_rng(0).standard_normal(points.shape)
+    _, _, rotations = fit_bones(SKELETON, points, None, keep=True)
+    turns = np.degrees(2 * np.arccos(np.clip(np.abs(rotations[:, 0, 0]), 0.0, 1.0)))
+    assert turns.max() < 90
+    assert np.percentile(turns, 99) < 60
 
 
 def test_rigid_points_stay_where_they_are() -> None:
