@@ -262,7 +262,7 @@ def test_a_finished_run_leaves_a_model_that_runs_without_torch(
         (["--round", "they wave"], "--generator intergen"),
         (["--tempo", "3"], "0.6 to 1.4"),
         (["--like", "no such file"], "seed"),
-        (["--weights", str(trained)], "--portable"),
+        (["--weights", str(trained)], "pasdedeux pack"),
     ):
         assert main([*map(str, request), "-o", str(out), *wrong]) == 2
         assert said in capsys.readouterr().err
