@@ -52,6 +52,9 @@ class DenoiserConfig:
     "concat-conditioning") the other's noisy motion beside the own as input, and no such layers."""
     share_weights: bool = True
     """Whether both persons have the same network (row "w/o weights sharing")."""
+    told_apart: bool = False
+    """Whether a person is told which of the two it is. The paper's network is not: exchanging the
+    noise exchanges the people, so a sentence cannot say who of them does what."""
 
     def __post_init__(self) -> None:
         """Validate."""

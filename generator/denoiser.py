@@ -5,6 +5,12 @@ itself and then to the *other person's hidden states at the block's input*, so n
 other, and exchanging the persons exchanges the outputs exactly (eq. 7). Because the weights are
 shared, both persons are computed as one batch ``[2, B, T, D]``, and "the partner" is that batch
 flipped along its first axis.
+
+**Who is who.** That symmetry has a price where sentences name "the first person": the network
+cannot know which of the two it is moving. Features put the first one at the origin, but in pure
+noise nobody is there yet: half of what was drawn came out exchanged, and who led was a matter of
+chance. With ``told_apart``, a learnt vector is added to each person's frames; it starts at zero, so
+that a trained network can go on learning with it.
 """
 
 from __future__ import annotations
@@ -263,6 +269,8 @@ class Denoiser(nn.Module):
         count = 1 if config.share_weights else 2
         networks = nn.ModuleList(Network(config) for _ in range(count))
         self.networks = cast(Sequence[Network], networks)
+        if config.told_apart:
+            self.person = nn.Parameter(torch.zeros(2, config.width))
 
     def forward(self, x: Tensor, t: Tensor, cond: Tensor, mask: Tensor | None = None) -> Tensor:
         """Return the predicted clean motion ``[B, T, 2F]``, normalised.
@@ -300,6 +308,8 @@ class Denoiser(nn.Module):
             people = torch.cat([people, people.flip(0)], dim=-1)
         keep = _keys(mask, 2 // shares)
         hidden = self._each("embed_motion", people) + self.positions[: x.shape[1]]
+        if self.config.told_apart:
+            hidden = hidden + self.person[:, None, None]
         for layer in range(self.config.layers):
             partner = hidden.flip(0)
             parts = zip(hidden.chunk(shares), partner.chunk(shares), strict=True)

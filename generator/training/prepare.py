@@ -98,7 +98,8 @@ def prepare(
     )
     if initial is not None:
         _require_same(initial, model)
-        model.denoiser.load_state_dict(initial.denoiser.state_dict())
+        known = initial.denoiser.state_dict()
+        model.denoiser.load_state_dict({**model.denoiser.state_dict(), **known})
     texts = TextTable(encoder, run.data.cache or None)
     return Prepared(stream, model.to(processes.device), texts)
 
@@ -180,7 +181,8 @@ def load_initial(run: RunConfig) -> InterGen | None:
 
 
 def _require_same(initial: InterGen, model: InterGen) -> None:
-    theirs = replace(initial.config, dropout=model.config.dropout)
+    apart = initial.config.told_apart or model.config.told_apart  # may be learnt from now on
+    theirs = replace(initial.config, dropout=model.config.dropout, told_apart=apart)
     if theirs == model.config:
         return
     for name in model.config.__dataclass_fields__:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -133,6 +134,24 @@ def test_exchanging_the_persons_exchanges_the_output_exactly(conditioning):
     exchanged = denoiser(x.roll(6, dims=-1), t, cond)
     assert torch.equal(exchanged, out.roll(6, dims=-1))
     assert not torch.allclose(out[..., :6], out[..., 6:])
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("share_weights", [True, False])
+def test_people_who_are_told_apart_are_told_nothing_before_they_learn(share_weights):
+    config = DenoiserConfig(
+        width=16, layers=2, heads=2, feedforward=32, features=6, text_width=5,
+        share_weights=share_weights,
+    )  # fmt: skip
+    plain = randomised(config)
+    told = Denoiser(replace(config, told_apart=True)).eval()
+    missing = told.load_state_dict(plain.state_dict(), strict=False).missing_keys
+    assert missing == ["person"]
+    x, t, cond = torch.randn(2, 11, 12), torch.tensor([5, 900]), torch.randn(2, 5)
+    assert torch.equal(told(x, t, cond), plain(x, t, cond))
+    told.person.normal_()
+    exchanged = told(x.roll(6, dims=-1), t, cond)
+    assert not torch.allclose(exchanged, told(x, t, cond).roll(6, dims=-1), atol=1e-2)
 
 
 @torch.no_grad()

@@ -69,10 +69,13 @@ VARIANTS = [
     {"conditioning": "concat"},
     {"share_weights": False},
     {"text_width": 40 * 384, "text_tokens": 40},
+    {"told_apart": True},
 ]
 
 
-@pytest.mark.parametrize("changes", VARIANTS, ids=["plain", "concat", "unshared", "tokens"])
+@pytest.mark.parametrize(
+    "changes", VARIANTS, ids=["plain", "concat", "unshared", "tokens", "apart"]
+)
 @torch.no_grad()
 def test_the_network_predicts_what_torch_predicts(changes, tmp_path):
     model = random_model(**changes)

@@ -277,6 +277,18 @@ def test_fine_tuning_starts_from_a_model_and_marks_what_it_learnt(
         train(wrong, tmp_path / "third")
 
 
+def test_a_trained_network_learns_on_with_people_told_apart(folder: Path, tmp_path: Path) -> None:
+    train(small(folder), tmp_path / "first")
+    more = {"initial": str(tmp_path / "first")}
+    train(small(folder, training=more, model={"told_apart": True}), tmp_path / "second")
+    learnt = checkpoint.load(tmp_path / "second")
+    assert learnt.config.told_apart
+    assert learnt.denoiser.person.abs().max() > 0
+    back = small(folder, training={"initial": str(tmp_path / "second")})
+    with pytest.raises(SpecError, match="told_apart True"):
+        train(back, tmp_path / "third")
+
+
 def test_the_release_s_losses_can_be_trained_on(folder: Path, tmp_path: Path) -> None:
     outcome = train(small(folder, training={"loss": "release"}), tmp_path)
     assert {"VEL_A", "FC_B", "DM", "JA", "RO", "simple", "total"} <= set(outcome.losses)
