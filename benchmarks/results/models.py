@@ -15,7 +15,6 @@ from generator.diffusion import SamplerConfig
 from generator.drawing import batches_of_equal_length, generate, noise_of
 from generator.model import InterGen
 from generator.model_folder import read_header
-from generator.provenance import Provenance
 from generator.runtime import Portable
 from generator.runtime.drawing import draw
 from generator.scores import Floats
@@ -36,11 +35,6 @@ class Trained:
     """Ready to draw."""
     hash: str
     """SHA-256 of its weights."""
-
-    @property
-    def provenance(self) -> Provenance:
-        """Where the model comes from."""
-        return self.model.provenance
 
     def sampler(self, row: Row) -> SamplerConfig:
         """Return what the row says."""
@@ -67,11 +61,6 @@ class Shipped:
     """SHA-256 of its network."""
     encoder: SentenceEncoder
     """Reads the sentences."""
-
-    @property
-    def provenance(self) -> Provenance:
-        """Where the model comes from."""
-        return self.model.provenance
 
     def sampler(self, row: Row) -> SamplerConfig:
         """Return what the model's folder says: that is what a user gets."""
@@ -128,9 +117,10 @@ class Models:
                 break
         else:
             raise CheckpointError("changes while it is read", where=row.folder, hint="run again")
-        if model.provenance.fps != self.fps:
+        fps = model.model.provenance.fps
+        if fps != self.fps:
             raise SpecError(
-                f"a model of {model.provenance.fps:g} frames per second",
+                f"a model of {fps:g} frames per second",
                 where=row.folder,
                 allowed=f"{self.fps:g}",
             )

@@ -177,7 +177,7 @@ class Bench:
             loaded = self.makers.models.load(row)
             record |= {
                 "weights": loaded.hash[:12],
-                "trained_steps": loaded.provenance.training.get("steps"),
+                "trained_steps": loaded.model.provenance.training.get("steps"),
             }
         return record
 
