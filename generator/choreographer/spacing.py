@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
+from scipy.optimize import brentq
+
 from generator.choreographer.arms import extension
 from generator.choreographer.clearance import LEGS, TRUNK, clearances
 from generator.choreographer.pose import Pose
@@ -88,8 +90,6 @@ def _root(excess: Callable[[float], float], tolerance: float) -> float:
     low, high = (USUAL, FARTHEST) if far_side else (NEAREST, USUAL)
     if (excess(high) if far_side else -excess(low)) <= 0.0:
         return high if far_side else low
-    from scipy.optimize import brentq  # takes longer to import than most solve
-
     return float(brentq(excess, low, high, xtol=tolerance))  # type: ignore[arg-type]
 
 
