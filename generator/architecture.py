@@ -43,6 +43,9 @@ class DenoiserConfig:
     text_tokens: int = 0
     """Above 0, the condition vector is so many token vectors in a row, zeros where the sentence has
     ended, and the network has layers of its own to read them; else it is taken as it is."""
+    text_names: bool = False
+    """Whether the last number of each token says whom it names: positive for person a, negative for
+    person b."""
     text_layers: int = 2
     """How many layers read the tokens."""
     representation: Literal["non_canonical", "canonical"] = "non_canonical"

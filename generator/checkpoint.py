@@ -177,7 +177,7 @@ def text_kind(encoder: SentenceEncoder | None) -> str:
     if isinstance(encoder, MiniLmEncoder):
         return "minilm"
     if isinstance(encoder, TokenEncoder):
-        return "minilm-tokens"
+        return encoder.kind
     return str(getattr(encoder, "kind", type(encoder).__name__))
 
 

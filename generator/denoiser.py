@@ -9,8 +9,9 @@ flipped along its first axis.
 **Who is who.** That symmetry has a price where sentences name "the first person": the network
 cannot know which of the two it is moving. Features put the first one at the origin, but in pure
 noise nobody is there yet: half of what was drawn came out exchanged, and who led was a matter of
-chance. With ``told_apart``, a learnt vector is added to each person's frames; it starts at zero, so
-that a trained network can go on learning with it.
+chance. With ``told_apart``, a learnt vector is added to each person's frames, and another one to
+the words as that person reads them: the same sentence asks different things of the two. Both start
+at zero, so that a trained network can go on learning with them.
 """
 
 from __future__ import annotations
@@ -167,13 +168,13 @@ class Block(nn.Module):
         Args:
             hidden: ``[P, B, T, D]`` of one or both persons.
             partner: ``[P, B, T, D]``, the other person's at this block's input.
-            modulation: ``[B, 2 norms D]``: scale and shift before self attention, feed-forward,
-                mutual attention's queries and its context.
+            modulation: ``[P or 1, B, 2 norms D]``: scale and shift before self attention,
+                feed-forward, mutual attention's queries and its context.
             keep: ``[P, B, 1, 1, T + 1]``, which frames count.
         """
         # As many as there are people: the gradient is then summed over one axis at a time, which
         # takes an eighth of what both at once take.
-        each = modulation[:, None].expand(len(hidden), -1, -1, -1)
+        each = modulation[:, :, None].expand(len(hidden), -1, -1, -1)
         parts = each.chunk(2 * self.norms, dim=-1)
         norm = partial(adaptive_norm, width=self.width)
         own = norm(hidden, *parts[0:2])
@@ -191,7 +192,8 @@ class TextReader(nn.Module):
     **The problem.** The mean of a sentence's token vectors says what is done, but hardly by whom:
     "A is pushed by B" and "B is pushed by A" have nearly the same one. Each token by itself knows
     its place. As the public release does on top of CLIP, a few layers of attention are trained to
-    read them.
+    read them. If tokens say whom they name, that is positive for whoever reads and negative for the
+    other one.
     """
 
     def __init__(self, config: DenoiserConfig) -> None:
@@ -211,18 +213,23 @@ class TextReader(nn.Module):
         )
         self.out = nn.Linear(width, width)
 
-    def forward(self, cond: Tensor) -> Tensor:
-        """Return ``[B, D]`` of the tokens ``[B, C]``; without any, the same for all."""
+    def forward(self, cond: Tensor, listeners: Tensor) -> Tensor:
+        """Return ``[P, B, D]`` of the tokens ``[P, B, C]``; without any, the same for all.
+
+        Args:
+            cond: Token vectors in a row.
+            listeners: ``[P, D]``, who reads.
+        """
         tokens = cond.unflatten(-1, (self.tokens, -1))
         real = (tokens != 0).any(-1).to(tokens.dtype)
-        keep = (functional.pad(real, (0, 1), value=1.0) > 0.5)[None, :, None, None]
-        hidden = (self.embed(tokens) + self.place)[None]  # as of one person: [1, B, L, D]
+        keep = (functional.pad(real, (0, 1), value=1.0) > 0.5)[:, :, None, None]
+        hidden = self.embed(tokens) + self.place + listeners[:, None, None]  # [P, B, L, D]
         layers = zip(self.attentions, self.feedforwards, strict=True)
         for number, (attention, feedforward) in enumerate(layers):
             hidden = hidden + attention(self.norms[2 * number](hidden), None, keep)
             hidden = hidden + feedforward(self.norms[2 * number + 1](hidden))
         weight = real[..., None].to(hidden.dtype)
-        mean = (self.norms[-1](hidden[0]) * weight).sum(1) / weight.sum(1).clamp_min(1)
+        mean = (self.norms[-1](hidden) * weight).sum(2) / weight.sum(2).clamp_min(1)
         return self.out(mean)
 
 
@@ -245,15 +252,21 @@ class Network(nn.Module):
         nn.init.zeros_(self.out.weight)
         nn.init.zeros_(self.out.bias)
 
+    def read(self, cond: Tensor, listeners: Tensor) -> Tensor:
+        """Return ``[P, B, D]``, what each listener ``[P, D]`` makes of its ``[P, B, C]``."""
+        if isinstance(self.embed_text, TextReader):
+            return self.embed_text(cond, listeners)
+        return self.embed_text(cond) + listeners[:, None]
+
     def modulations(self, time: Tensor, text: Tensor) -> Tensor:
-        """Return scales and shifts of every block, ``[layers, B, ...]``.
+        """Return scales and shifts of every block, ``[P, layers, B, ...]``.
 
         Args:
             time: ``[B, D]`` sinusoids of the steps.
-            text: ``[B, D]`` what ``embed_text`` made of the condition vectors.
+            text: ``[P, B, D]`` from :meth:`read`.
         """
         active = functional.silu(self.embed_time(time) + text)
-        return torch.stack([block.modulation(active) for block in self.blocks])
+        return torch.stack([block.modulation(active) for block in self.blocks], dim=1)
 
 
 class Denoiser(nn.Module):
@@ -271,6 +284,7 @@ class Denoiser(nn.Module):
         self.networks = cast(Sequence[Network], networks)
         if config.told_apart:
             self.person = nn.Parameter(torch.zeros(2, config.width))
+            self.listener = nn.Parameter(torch.zeros(2, config.width))
 
     def forward(self, x: Tensor, t: Tensor, cond: Tensor, mask: Tensor | None = None) -> Tensor:
         """Return the predicted clean motion ``[B, T, 2F]``, normalised.
@@ -284,21 +298,38 @@ class Denoiser(nn.Module):
         return self.denoise(x, self.modulations(t, self.read(cond)), mask)
 
     def read(self, cond: Tensor) -> Tensor:
-        """Return ``[nets, B, D]`` of condition vectors ``[B, C]``: the same at every step."""
-        return torch.stack([net.embed_text(cond) for net in self.networks])
+        """Return ``[P, B, D]`` of condition vectors ``[B, C]``: the same at every step.
+
+        P is 2 if two people or two networks read them differently, else 1.
+        """
+        shares = len(self.networks)
+        if self.config.told_apart:
+            listeners, texts = self.listener, torch.stack([cond, self._turned(cond)])
+        else:
+            listeners = self.positions.new_zeros(shares, self.config.width)
+            texts = cond.expand(shares, *cond.shape)
+        both = zip(self.networks, texts.chunk(shares), listeners.chunk(shares), strict=True)
+        return torch.cat([net.read(*own) for net, *own in both])
+
+    def _turned(self, cond: Tensor) -> Tensor:
+        """Return a sentence's vectors with the names of the two people exchanged."""
+        if not self.config.text_names:
+            return cond
+        tokens = cond.unflatten(-1, (self.config.text_tokens, -1))
+        return torch.cat([tokens[..., :-1], -tokens[..., -1:]], dim=-1).flatten(-2)
 
     def modulations(self, t: Tensor, text: Tensor) -> Tensor:
-        """Return what time and text do to every block: ``[nets, layers, B, ...]``.
+        """Return what time and text do to every block: ``[P, layers, B, ...]``.
 
         It does not depend on the motion, so a sampler makes it for all its steps at once.
 
         Args:
             t: ``[B]`` diffusion steps.
-            text: ``[nets, B, D]`` from :meth:`read`.
+            text: ``[P, B, D]`` from :meth:`read`.
         """
         time = self.positions[t]
-        both = zip(self.networks, text.unbind(), strict=True)
-        return torch.stack([net.modulations(time, words) for net, words in both])
+        both = zip(self.networks, text.chunk(len(self.networks)), strict=True)
+        return torch.cat([net.modulations(time, words) for net, words in both])
 
     def denoise(self, x: Tensor, modulations: Tensor, mask: Tensor | None = None) -> Tensor:
         """Return the predicted clean motion, as :meth:`forward`, given :meth:`modulations`."""
@@ -315,9 +346,9 @@ class Denoiser(nn.Module):
             parts = zip(hidden.chunk(shares), partner.chunk(shares), strict=True)
             hidden = torch.cat(
                 [
-                    net.blocks[layer](own, other, modulation[layer], keep)
+                    net.blocks[layer](own, other, modulation[:, layer], keep)
                     for net, (own, other), modulation in zip(
-                        self.networks, parts, modulations, strict=True
+                        self.networks, parts, modulations.chunk(shares), strict=True
                     )
                 ]
             )

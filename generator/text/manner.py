@@ -12,11 +12,8 @@ from functools import cache
 from importlib import resources
 
 from generator.choreographer.style import Style, style_ranges
+from generator.text.mentions import mentions
 
-_FIRST = r"(?:the )?first(?: (?:person|one|man|woman|dancer|player|fighter))?"
-_SECOND = r"(?:the )?second(?: (?:person|one|man|woman|dancer|player|fighter))?"
-_PERSON = r"(?:person|dancer|player|human|actor|partner)"
-_NAMED = rf"\b(?P<a>{_FIRST}|{_PERSON} (?:a|one|1))\b|\b(?P<b>{_SECOND}|{_PERSON} (?:b|two|2))\b"
 _BY = re.compile(
     r"\b(?:is|are|was|gets?|being|been)\b[^.;]*"
     r"\bby (?:the )?(?:first|second|a\b|b\b|other|person|dancer)",
@@ -62,18 +59,8 @@ def second_leads(text: str) -> bool:
     *the first is pushed by the second*, *the first takes the box from the second*. In the
     last two, and where one copies the other, the one named first is not the one who leads.
     """
-    named_first = _named_first(text)
-    if named_first is None:
+    named = mentions(text)
+    if not named:
         return False
     turned = bool(_BY.search(text)) != bool(_RECEIVES.search(text))
-    return (named_first == "b") != turned
-
-
-def _named_first(text: str) -> str | None:
-    """Return ``a`` or ``b``, whichever the sentence names first, or ``None``."""
-    found = re.search(_NAMED, text, re.IGNORECASE)
-    if found:
-        return "a" if found.group("a") else "b"
-    # Single letters are names only together: "A pushes B", but not "A man pushes a woman".
-    letters = re.findall(r"\b[AB]\b", text)
-    return letters[0].lower() if {"A", "B"} <= set(letters) else None
+    return (named[0].person == "b") != turned

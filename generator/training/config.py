@@ -18,7 +18,7 @@ from robots.errors import SpecError
 Freeze = Literal["none", "person", "trajectory", "ends", "mixed"]
 
 _DERIVED = {
-    "model": ("features", "text_width", "text_tokens"),
+    "model": ("features", "text_width", "text_tokens", "text_names"),
     "objective": ("representation", "steps"),
 }
 """What follows from other settings: the representation, the text encoder, the diffusion."""
@@ -40,19 +40,33 @@ def _require(where: str, value: float, low: float, high: float = math.inf) -> No
 class TextConfig:
     """What turns sentences into condition vectors; always frozen."""
 
-    encoder: Literal["minilm", "minilm-tokens", "clip", "causal", "initial"] = "minilm"
-    """``minilm`` ships with the project, and so does ``minilm-tokens``, which gives every token for
-    the network to read (``model.text_layers``); ``clip`` is CLIP's text tower and ``causal`` a
-    language model (the LLaMA row of Table 3), both from a local folder; ``initial`` is the one of
-    the model that training starts from."""
+    encoder: Literal["minilm", "minilm-tokens", "minilm-names", "clip", "causal", "initial"] = (
+        "minilm"
+    )
+    """``minilm`` ships with the project, and so do ``minilm-tokens``, which gives every token for
+    the network to read (``model.text_layers``), and ``minilm-names``, in which each token also says
+    which of the two people it names (for ``model.told_apart``); ``clip`` is CLIP's text tower and
+    ``causal`` a language model (the LLaMA row of Table 3), both from a local folder; ``initial`` is
+    the one of the model that training starts from."""
     folder: str = ""
     """Where the weights of ``clip`` or ``causal`` lie."""
+    lessons: int = 0
+    """Steps for which the layers that read the tokens first learn, on sentences of the grammar
+    alone, what is done in them, by whom and how; from then on they are frozen too. 0: they learn
+    with the rest."""
 
     def __post_init__(self) -> None:
         """Validate."""
-        if (self.encoder in ("minilm", "minilm-tokens", "initial")) == bool(self.folder):
+        if (self.encoder in ("clip", "causal")) != bool(self.folder):
             needs = "no folder" if self.folder else "a folder"
             raise SpecError(f"'{self.encoder}' takes {needs}", where="folder")
+        _require("lessons", self.lessons, 0)
+        if self.lessons and self.encoder not in ("minilm-tokens", "minilm-names"):
+            raise SpecError(
+                f"lessons for '{self.encoder}', which has no layers that read",
+                where="lessons",
+                allowed="with minilm-tokens or minilm-names",
+            )
 
 
 @dataclass(frozen=True, slots=True)

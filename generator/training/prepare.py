@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 from generator import checkpoint
 from generator.applications import FREEZE
@@ -26,14 +26,15 @@ from generator.data import (
 from generator.data.choreographed import Split
 from generator.model import InterGen
 from generator.provenance import Provenance
-from generator.text.encoder import TokenEncoder
+from generator.text.encoder import SentenceEncoder, TokenEncoder
 from generator.training.config import DataConfig, RunConfig, SourceConfig
 from generator.training.draws import seed_weights
+from generator.training.lessons import freeze_reading, teach
 from generator.training.processes import Processes
 from generator.training.texts import TextTable, make_encoder, text_width
 from robots.errors import SpecError
 
-STATISTICS = "statistics.json"
+STATISTICS, LESSONS = "statistics.json", "lessons"
 
 Announce = Callable[[str], None]
 Progress = Callable[[int, int], None]
@@ -86,8 +87,7 @@ def prepare(
         processes.wait()
         found = FeatureStatistics.load(out / STATISTICS)
         mean_std = (found.mean.copy(), found.std.copy())
-    tokens = encoder.tokens if isinstance(encoder, TokenEncoder) else 0
-    config = replace(run.model, text_width=text_width(encoder), text_tokens=tokens)
+    config = replace(run.model, **_reading(encoder))
     seed_weights(run.training.seed)
     model = InterGen(
         config,
@@ -101,6 +101,10 @@ def prepare(
         known = initial.denoiser.state_dict()
         model.denoiser.load_state_dict({**model.denoiser.state_dict(), **known})
     texts = TextTable(encoder, run.data.cache or None)
+    if run.text.lessons and _taught(initial) >= run.text.lessons:
+        freeze_reading(model.denoiser)
+    elif run.text.lessons:
+        _teach(run, model, texts, out, processes, announce=announce, progress=progress)
     return Prepared(stream, model.to(processes.device), texts)
 
 
@@ -180,6 +184,56 @@ def load_initial(run: RunConfig) -> InterGen | None:
     return checkpoint.load(place, text=wants_text)
 
 
+def _reading(encoder: SentenceEncoder) -> dict[str, Any]:
+    """Return what of an architecture follows from the text encoder."""
+    width = text_width(encoder)
+    if not isinstance(encoder, TokenEncoder):
+        return {"text_width": width}
+    return {"text_width": width, "text_tokens": encoder.tokens, "text_names": encoder.names}
+
+
+def _taught(initial: InterGen | None) -> int:
+    """Return how many lessons a model has had."""
+    lessons = 0 if initial is None else initial.provenance.training.get(LESSONS)
+    return lessons if isinstance(lessons, int) else 0
+
+
+def _teach(
+    run: RunConfig,
+    model: InterGen,
+    texts: TextTable,
+    out: Path,
+    processes: Processes,
+    *,
+    announce: Announce,
+    progress: Progress | None,
+) -> None:
+    """Teach the layers that read, once: who does not lead takes over what the leader has learnt."""
+    steps = run.text.lessons
+
+    def report(step: int, loss: float) -> None:
+        if progress is not None:
+            progress(step, steps)
+
+    def lessons() -> None:
+        teach(
+            model.denoiser,
+            texts,
+            steps,
+            seed=run.training.seed,
+            low_precision=run.training.precision == "bfloat16",
+            state=out / LESSONS,
+            report=report,
+        )
+
+    if processes.leads:
+        announce("lessons in reading")
+        lessons()
+    processes.wait()
+    if not processes.leads:
+        lessons()
+
+
 def _require_same(initial: InterGen, model: InterGen) -> None:
     apart = initial.config.told_apart or model.config.told_apart  # may be learnt from now on
     theirs = replace(initial.config, dropout=model.config.dropout, told_apart=apart)
@@ -214,6 +268,7 @@ def _provenance(run: RunConfig, caches: list[ClipCache], initial: InterGen | Non
         "data": [cache.name for cache in caches],
         "text": run.text.encoder,
         "frames": run.data.frames,
+        LESSONS: max(run.text.lessons, _taught(initial)),
         FREEZE: run.training.freeze,
     }
     return Provenance(

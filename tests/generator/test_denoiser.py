@@ -63,8 +63,8 @@ def test_embedded_motion_is_at_parity(released, vectors):
 @torch.no_grad()
 def test_first_block_is_at_parity_layer_by_layer(released, vectors):
     block = released.networks[0].blocks[0]
-    modulation = released.modulations(vectors["t"], released.read(vectors["cond"]))[0, 0]
-    parts = modulation[:, None].chunk(8, dim=-1)
+    modulation = released.modulations(vectors["t"], released.read(vectors["cond"]))[:, 0]
+    parts = modulation[:, :, None].chunk(8, dim=-1)
     people = torch.stack(vectors["x"].chunk(2, dim=-1))
     hidden = released.networks[0].embed_motion(people) + released.positions[:48]
     keep = torch.nn.functional.pad(vectors["mask"][..., 0] > 0.5, (0, 1), value=True)
@@ -146,12 +146,14 @@ def test_people_who_are_told_apart_are_told_nothing_before_they_learn(share_weig
     plain = randomised(config)
     told = Denoiser(replace(config, told_apart=True)).eval()
     missing = told.load_state_dict(plain.state_dict(), strict=False).missing_keys
-    assert missing == ["person"]
+    assert missing == ["person", "listener"]
     x, t, cond = torch.randn(2, 11, 12), torch.tensor([5, 900]), torch.randn(2, 5)
     assert torch.equal(told(x, t, cond), plain(x, t, cond))
-    told.person.normal_()
-    exchanged = told(x.roll(6, dims=-1), t, cond)
-    assert not torch.allclose(exchanged, told(x, t, cond).roll(6, dims=-1), atol=1e-2)
+    for vectors in (told.person, told.listener):
+        vectors.normal_()
+        exchanged = told(x.roll(6, dims=-1), t, cond)
+        assert not torch.allclose(exchanged, told(x, t, cond).roll(6, dims=-1), atol=1e-2)
+        vectors.zero_()
 
 
 @torch.no_grad()

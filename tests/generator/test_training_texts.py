@@ -117,13 +117,16 @@ def test_the_order_of_tokens_counts_and_their_neighbours_in_the_batch_do_not():
     tokens = torch.randn(3, TOKENS, WIDTH)
     tokens[0, 3:] = tokens[1, 2:] = 0
     tokens[2] = 0
-    together = module(tokens.flatten(1))
+    nobody = torch.zeros(1, 16)
+    together = module(tokens.flatten(1)[None], nobody)[0]
     for one, row in zip(tokens, together, strict=True):
-        torch.testing.assert_close(module(one.flatten()[None])[0], row)
+        torch.testing.assert_close(module(one.flatten()[None, None], nobody)[0, 0], row)
     turned = tokens[:1].clone()
     turned[0, :3] = tokens[0, [2, 1, 0]]
-    assert (module(turned.flatten(1)) - together[0]).abs().max() > 0.01
+    assert (module(turned.flatten(1)[None], nobody)[0, 0] - together[0]).abs().max() > 0.01
     torch.testing.assert_close(together[2], module.out.bias)
+    first, second = module(tokens[:1].flatten(1).expand(2, -1, -1), torch.randn(2, 16))
+    assert (first - second).abs().max() > 0.01
 
 
 def test_what_reads_the_tokens_learns():
