@@ -70,11 +70,12 @@ VARIANTS = [
     {"share_weights": False},
     {"text_width": 40 * 384, "text_tokens": 40},
     {"told_apart": True},
+    {"told_apart": True, "text_width": 40 * 385, "text_tokens": 40, "text_names": True},
 ]
 
 
 @pytest.mark.parametrize(
-    "changes", VARIANTS, ids=["plain", "concat", "unshared", "tokens", "apart"]
+    "changes", VARIANTS, ids=["plain", "concat", "unshared", "tokens", "apart", "names"]
 )
 @torch.no_grad()
 def test_the_network_predicts_what_torch_predicts(changes, tmp_path):
@@ -85,7 +86,7 @@ def test_the_network_predicts_what_torch_predicts(changes, tmp_path):
     for batch, frames in ((1, 2), (3, 17), (2, FRAMES)):
         x, t, cond = inputs(batch, frames, width)
         if "text_tokens" in changes:
-            cond[:, 9 * 384 :] = 0  # sentences end
+            cond[:, 9 * width // 40 :] = 0  # sentences end
         cond[-1] = 0  # the branch without a text
         truth = model.denoise(*map(torch.from_numpy, (x, t, cond))).numpy()
         assert np.abs(truth).max() > 0.5

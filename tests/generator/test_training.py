@@ -289,6 +289,21 @@ def test_a_trained_network_learns_on_with_people_told_apart(folder: Path, tmp_pa
         train(back, tmp_path / "third")
 
 
+def test_who_has_been_taught_to_read_is_not_taught_again(folder: Path, tmp_path: Path) -> None:
+    told = {"model": {"told_apart": True}, "text": {"encoder": "minilm-names", "lessons": 2}}
+    train(small(folder, **told), tmp_path / "first")
+    assert (tmp_path / "first/lessons").is_dir()
+    more = {"initial": str(tmp_path / "first"), "seed": 5}
+    train(small(folder, **told, training=more), tmp_path / "second")
+    assert not (tmp_path / "second/lessons").exists()
+    first, second = (checkpoint.load(tmp_path / name) for name in ("first", "second"))
+    assert second.provenance.training["lessons"] == 2
+    for name, parameter in first.denoiser.named_parameters():
+        same = torch.equal(parameter, second.denoiser.get_parameter(name))
+        assert same or not ("embed_text" in name or name == "listener"), name
+    assert not torch.equal(first.denoiser.person, second.denoiser.person)
+
+
 def test_the_release_s_losses_can_be_trained_on(folder: Path, tmp_path: Path) -> None:
     outcome = train(small(folder, training={"loss": "release"}), tmp_path)
     assert {"VEL_A", "FC_B", "DM", "JA", "RO", "simple", "total"} <= set(outcome.losses)

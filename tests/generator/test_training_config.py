@@ -64,6 +64,7 @@ def test_what_a_file_leaves_out_has_the_values_of_the_paper() -> None:
         ({"objective": {"damping": 1.5}}, ("objective.damping", "0 to 1")),
         ({"objective": {"representation": "canonical"}}, ("representation",)),
         ({"text": {"encoder": "clip"}}, ("text", "a folder")),
+        ({"text": {"encoder": "minilm", "lessons": 9}}, ("text", "layers that read")),
         ({"text": {"encoder": "initial"}}, ("text.encoder",)),
         ({"model": {"representation": "canonical"}, "training": {"freeze": "ends"}}, ("freeze",)),
         ({"model": {"representation": "canonical"}, "training": {"loss": "release"}}, ("loss",)),
