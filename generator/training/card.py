@@ -41,7 +41,7 @@ FOLDER`, or with torch by `--generator intergen`. The model that comes with the 
 
 {data}
 
-{steps} steps; losses at the end, weighted: {losses}.
+{steps}; losses at the end, weighted: {losses}.
 
 ## Figures
 
@@ -130,7 +130,6 @@ def model_card(
     losses = facts.get("losses") or {}
     chosen = asdict(sampling)
     frames = chosen.pop("frames")
-    steps, of = facts.get("steps", "unknown"), facts.get("of")
     return _TEXT.format(
         name=model.provenance.source or "A model",
         licence=model.provenance.licence or "unknown",
@@ -142,11 +141,23 @@ def model_card(
         precision=precision,
         sampling=_listed(chosen),
         data=_data(facts.get("data", [])),
-        steps=steps if of in (None, steps) else f"{steps} of {of}",
+        steps=_steps(facts),
         losses=_listed({k: f"{v:.4f}" for k, v in losses.items() if k != "norm"}) or "unknown",
         knows=_known(repertoire),
         figures=UNMEASURED if figures is None else figures.markdown(),
     )
+
+
+def _steps(facts: Mapping[str, Any]) -> str:
+    """Return how long a model has learnt, and what came before."""
+    steps, of = facts.get("steps", "unknown"), facts.get("of")
+    learnt = f"{steps} steps" if of in (None, steps) else f"{steps} of {of} steps"
+    earlier, lessons = facts.get("earlier_steps"), facts.get("lessons")
+    if earlier:
+        learnt += f", going on from a model of {earlier} steps"
+    if lessons:
+        learnt += f"; {lessons} steps of lessons in reading"
+    return learnt
 
 
 def _data(names: list[Any]) -> str:

@@ -35,6 +35,8 @@ from generator.training.texts import TextTable, make_encoder, text_width
 from robots.errors import SpecError
 
 STATISTICS, LESSONS = "statistics.json", "lessons"
+EARLIER = "earlier_steps"
+"""Fact of a model: steps of the runs that it started from."""
 
 Announce = Callable[[str], None]
 Progress = Callable[[int, int], None]
@@ -101,7 +103,7 @@ def prepare(
         known = initial.denoiser.state_dict()
         model.denoiser.load_state_dict({**model.denoiser.state_dict(), **known})
     texts = TextTable(encoder, run.data.cache or None)
-    if run.text.lessons and _taught(initial) >= run.text.lessons:
+    if run.text.lessons and _count(initial, LESSONS) >= run.text.lessons:
         freeze_reading(model.denoiser)
     elif run.text.lessons:
         _teach(run, model, texts, out, processes, announce=announce, progress=progress)
@@ -192,10 +194,10 @@ def _reading(encoder: SentenceEncoder) -> dict[str, Any]:
     return {"text_width": width, "text_tokens": encoder.tokens, "text_names": encoder.names}
 
 
-def _taught(initial: InterGen | None) -> int:
-    """Return how many lessons a model has had."""
-    lessons = 0 if initial is None else initial.provenance.training.get(LESSONS)
-    return lessons if isinstance(lessons, int) else 0
+def _count(initial: InterGen | None, fact: str) -> int:
+    """Return how many steps of some kind a model has had."""
+    steps = 0 if initial is None else initial.provenance.training.get(fact)
+    return steps if isinstance(steps, int) else 0
 
 
 def _teach(
@@ -268,7 +270,8 @@ def _provenance(run: RunConfig, caches: list[ClipCache], initial: InterGen | Non
         "data": [cache.name for cache in caches],
         "text": run.text.encoder,
         "frames": run.data.frames,
-        LESSONS: max(run.text.lessons, _taught(initial)),
+        LESSONS: max(run.text.lessons, _count(initial, LESSONS)),
+        EARLIER: _count(initial, EARLIER) + _count(initial, "steps"),
         FREEZE: run.training.freeze,
     }
     return Provenance(

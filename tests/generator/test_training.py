@@ -14,6 +14,8 @@ import torch
 from generator import checkpoint
 from generator.data import BatchConfig, BatchStream, DuetFolder
 from generator.given import TRAJECTORY
+from generator.runtime.portable import Sampling
+from generator.training.card import model_card
 from generator.training.config import RunConfig, load_config, parse
 from generator.training.draws import draw
 from generator.training.freezing import frozen
@@ -298,6 +300,13 @@ def test_who_has_been_taught_to_read_is_not_taught_again(folder: Path, tmp_path:
     assert not (tmp_path / "second/lessons").exists()
     first, second = (checkpoint.load(tmp_path / name) for name in ("first", "second"))
     assert second.provenance.training["lessons"] == 2
+    assert second.provenance.training["earlier_steps"] == 6
+    card = model_card(second, Sampling(frames=16), "float32")
+    assert "6 steps, going on from a model of 6 steps; 2 steps of lessons in reading" in card
+    third = small(folder, **told, training={"initial": str(tmp_path / "second")})
+    train(third, tmp_path / "third")
+    learnt = checkpoint.load(tmp_path / "third").provenance.training
+    assert (learnt["earlier_steps"], learnt["lessons"]) == (12, 2)
     for name, parameter in first.denoiser.named_parameters():
         same = torch.equal(parameter, second.denoiser.get_parameter(name))
         assert same or not ("embed_text" in name or name == "listener"), name
