@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator.choreographer import choreograph, repertoire
-from generator.finishing import finish
+from generator.finishing import DRAWN, finish
 from generator.motion import DuetMotion
 from generator.runtime import DiffusionRequest, draw, generate
 from generator.runtime.generation import open_studio, part_frames
@@ -69,7 +69,7 @@ def seams(weights: str, samples: int) -> None:
     for seed in range(samples):
         raw, _ = generate(PARTS[0], request, seed=seed)
         seconds += raw.duration
-        values = discontinuity(finish(raw))
+        values = discontinuity(finish(raw, settings=DRAWN))
         found.append(around(values, edges * 30 - 1, reach))
         inside.append(values)
     cost = (time.process_time() - start) / samples

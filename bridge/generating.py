@@ -99,7 +99,9 @@ def make(
     facts |= {"generator": generator, "cpu_seconds": round(time.process_time() - start, 3)}
     if raw:
         return motion, facts
-    motion, changes = clean(motion, touches=_meetings(text, facts))
+    from generator.finishing import DRAWN
+
+    motion, changes = clean(motion, settings=DRAWN, touches=_meetings(text, facts))
     return motion, {**facts, "finishing": changes}
 
 
@@ -123,7 +125,7 @@ def make_group(
         raw: Leave what a network drew as it is.
         progress: Told the share done.
     """
-    from generator.finishing import Finishing
+    from generator.finishing import DRAWN
     from generator.runtime import generate_group
     from generator.runtime.group import nearest_strangers
 
@@ -131,7 +133,7 @@ def make_group(
     duets, facts = generate_group(text, request, seed=seed, progress=progress)
     facts["cpu_seconds"] = round(time.process_time() - start, 3)
     if not raw:
-        alone = Finishing(hands=False, apart=False)
+        alone = replace(DRAWN, hands=False, apart=False)
         cleaned = {pair: clean(motion, settings=alone) for pair, motion in duets.items()}
         duets = {pair: motion for pair, (motion, _) in cleaned.items()}
         facts["finishing"] = {pair: changes for pair, (_, changes) in cleaned.items()}

@@ -96,7 +96,7 @@ class Makers:
         raw = self.take(replace(row, finish=False), order)
         began = time.process_time()
         done = [
-            finishing.finish(self._decoded(x), expected=meetings_of(text))
+            finishing.finish(self._decoded(x), settings=finishing.DRAWN, expected=meetings_of(text))
             for x, text in zip(raw.features, order.texts, strict=True)
         ]
         spent = time.process_time() - began

@@ -28,6 +28,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how much of the jitter is taken out: 1 what was measured, 0 nothing",
     )
     parser.add_argument(
+        "--rotations",
+        type=float,
+        default=0.0,
+        metavar="X",
+        help="how far keypoints go to where the motion's own rotations put them: 0 not at all, 1"
+        " all the way (default 0; what a network draws is finished with 0.9)",
+    )
+    parser.add_argument(
         "--touch",
         action="append",
         default=[],
@@ -50,6 +58,7 @@ def execute(args: argparse.Namespace, console: Console) -> int:
     out = in_folder(args.out, "finished.npz")
     settings = Finishing(
         smoothing=args.smoothing,
+        rotations=args.rotations,
         feet=not args.no_feet,
         hands=not args.no_hands,
         apart=not args.no_apart,

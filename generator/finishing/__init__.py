@@ -5,7 +5,7 @@ second; ``finish_with_changes(motion)`` also what was changed.
 """
 
 from generator.finishing.finish import Changes, finish, finish_with_changes
-from generator.finishing.settings import Finishing
+from generator.finishing.settings import DRAWN, Finishing
 from generator.finishing.touches import Meeting
 
-__all__ = ["Changes", "Finishing", "Meeting", "finish", "finish_with_changes"]
+__all__ = ["DRAWN", "Changes", "Finishing", "Meeting", "finish", "finish_with_changes"]

@@ -173,7 +173,9 @@ def _body(
         turns = denoise(continuous(turns), settings.smoothing, _USUAL_TURN)
         turns /= np.linalg.norm(turns, axis=-1, keepdims=True)
     keep = skeleton is not None
-    fitted, root, rotations = fit_bones(skeleton or person.skeleton, points, turns, keep=keep)
+    fitted, root, rotations = fit_bones(
+        skeleton or person.skeleton, points, turns, keep=keep, share=settings.rotations
+    )
     root = resample(root, person.fps, fps)
     rotations = resample_rotations(rotations, person.fps, fps)
     change = float(np.linalg.norm(points - person.keypoints, axis=-1).mean())

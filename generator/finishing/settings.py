@@ -19,6 +19,8 @@ class Finishing:
 
     smoothing: float = 1.0
     """How much of what looks like noise is taken out: 1 as much as was measured, 0 nothing."""
+    rotations: float = 0.0
+    """Share of the way that keypoints go to where the motion's own rotations put them, 0 to 1."""
     feet: bool = True
     """Whether feet that stand are put on the floor and held still."""
     hands: bool = True
@@ -47,3 +49,9 @@ class Finishing:
                 raise SpecError(
                     f"{field.name} is {value}", where="finishing", allowed="0 or a positive number"
                 )
+        if self.rotations > 1:
+            raise SpecError(f"{self.rotations}", where="finishing: rotations", allowed="0 to 1")
+
+
+DRAWN = Finishing(rotations=0.9)
+"""For what a network drew with rotations of its own, which are better than its keypoints."""

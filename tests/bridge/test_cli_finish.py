@@ -66,6 +66,7 @@ def test_touches_that_are_named_are_closed(spoilt, tmp_path, capsys) -> None:
         (["--touch", "tail:nose"], "tail"),
         (["--rate", "0"], "frames per second"),
         (["--smoothing", "-1"], "smoothing"),
+        (["--rotations", "1.5"], "rotations"),
     ):
         assert main(["finish", str(plain), "-o", str(out), *wrong]) == 2
         assert said in capsys.readouterr().err

@@ -93,6 +93,24 @@ def test_noise_does_not_turn_a_pelvis_round() -> None:
     assert np.percentile(turns, 99) < 60
 
 
+def test_angles_put_right_what_shortened_a_forearm() -> None:
+    """A network drew pushes with forearms half as long, but elbows turned as they should be."""
+    true = standing(0.0, 20)
+    turned = np.tile([1.0, 0.0, 0.0, 0.0], (20, len(SKELETON), 1))
+    points = true.points.copy()
+    elbow, wrist = (SKELETON.index(f"left_{name}") for name in ("elbow", "wrist"))
+    points[8:14, wrist] = 0.5 * (points[8:14, elbow] + points[8:14, wrist])
+    points[8:14, wrist, 2] += 0.1
+
+    def missed(share: float) -> float:
+        skeleton, root, rotations = fit_bones(SKELETON, points, turned, share=share)
+        made = Figure(skeleton, root, rotations).points
+        return float(np.linalg.norm(made - true.points, axis=-1)[:, wrist].max())
+
+    assert missed(0.0) > 0.1
+    assert missed(0.9) < 0.03
+
+
 def test_rigid_points_stay_where_they_are() -> None:
     body = figure()
     np.testing.assert_allclose(rigid_points(SKELETON, body.points), body.points, atol=1e-4)
