@@ -191,7 +191,8 @@ def _arc(pose: Pose, side: Side, way: NDArray, weight: NDArray) -> FloatArray:
     """Return a bulge ``[T, 3]`` m, forward and outward, by which a hand clears the own body."""
     far = np.linalg.norm(way, axis=1)
     far = far / (1.0 + far / pose.role.build.arm)
-    bulge = 0.35 * far * 4.0 * (weight * (1.0 - weight)) ** 1.5
+    halfway = np.maximum(weight * (1.0 - weight), 0.0)  # weights pass 1 by a rounding now and then
+    bulge = 0.35 * far * 4.0 * halfway**1.5
     direction = pose.frame("spine3") @ np.array([0.9, 0.45 * outward(side), 0.0])
     return bulge[:, None] * direction
 

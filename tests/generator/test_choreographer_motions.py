@@ -12,6 +12,7 @@ import pytest
 from generator.choreographer import Style, choreograph, examine, lookup, repertoire, sample
 from generator.choreographer.clearance import ARMS, LEGS, TRUNK, Capsule, clearances
 from generator.choreographer.role import Build
+from generator.data import Choreographed
 from generator.kinematics import forward_kinematics, global_rotations
 from generator.motion import CONTACT_POINTS, DuetMotion, Motion
 from robots.errors import MotionError
@@ -280,3 +281,9 @@ def test_capsules_that_touch_have_no_gap():
     head = (Capsule("head", "head", "head", 0.1),)
     gap = clearances(((skeleton, points, 1.0), (skeleton, other, 1.5)), head)["head", "head"]
     assert gap == pytest.approx([0.0], abs=1e-12)
+
+
+def test_a_weight_a_rounding_below_zero_bends_no_arm_out_of_the_world():
+    """A clip had a reach of weight -9e-16, and from that rotations that are no numbers."""
+    done = Choreographed(250, seed=1_000_003, split="combinations").performance(243)
+    assert np.isfinite(done.motion.keypoints).all()
