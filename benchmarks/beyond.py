@@ -2,9 +2,9 @@
 
     python -m benchmarks.beyond seams manner takes interval --weights FOLDER [--samples N]
 
-``seams``: velocity discontinuities where the parts of a choreography meet, against those of
-choreographed duets. ``manner``: what tempo, energy and amplitude do to the speed and reach of
-hands. ``takes``: distances to liked and unliked takes. ``interval``: guidance in a part of the
+``seams``: velocity discontinuities where the windows of a choreography of one minute meet, against
+those of choreographed duets. ``manner``: what tempo, energy and amplitude do to the speed and reach
+of hands. ``takes``: distances to liked and unliked takes. ``interval``: guidance in a part of the
 noise levels against guidance in all.
 """
 
@@ -23,7 +23,7 @@ from generator.finishing import DRAWN, finish
 from generator.motion import DuetMotion
 from generator.runtime import DiffusionRequest, draw, generate
 from generator.runtime.generation import open_studio, part_frames
-from generator.runtime.sequence import overlap_of
+from generator.runtime.sequence import overlap_of, plan
 from robots.skeleton import FloatArray
 
 PARTS = (
@@ -33,11 +33,13 @@ PARTS = (
     "they wave at each other",
     "they dance a waltz",
 )
+PART_SECONDS = 12.0
+"""Length of each part of a choreography, so that it is a minute long."""
 SENTENCES = (
     "two people wave at each other",
     "two people shake hands",
     "two people box",
-    "they dance together",
+    "they dance a waltz",
 )
 HANDS = [20, 21]
 """Keypoints of the wrists."""
@@ -57,11 +59,12 @@ def around(values: NDArray, frames: NDArray, reach: int) -> FloatArray:
 
 def seams(weights: str, samples: int) -> None:
     """Print discontinuities at both ends of each fade, in drawn frames and finished ones."""
-    request = DiffusionRequest(weights=weights, then=PARTS[1:])
+    request = DiffusionRequest(weights=weights, then=PARTS[1:], seconds=PART_SECONDS)
     studio = open_studio(PARTS, request)
-    fps = studio.fps
-    overlap = overlap_of(studio.model.sampling.frames, fps)
-    ends = np.cumsum(part_frames(studio, len(PARTS)))[:-1]
+    fps, longest = studio.fps, studio.model.sampling.frames
+    overlap = overlap_of(longest, fps)
+    windows = plan(part_frames(studio, len(PARTS)), longest, overlap)
+    ends = np.cumsum([w.frames - (overlap if n else 0) for n, w in enumerate(windows)])[:-1]
     edges = np.concatenate([ends - overlap, ends]) / fps  # s
     reach = max(1, round(30 / fps / 2))
     found, inside, seconds = [], [], 0.0
