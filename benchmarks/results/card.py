@@ -60,9 +60,11 @@ def card(row: str, records: Sequence[Record]) -> dict[str, Any]:
                 cells = {c.head: cell(found, c) for c in (*PAPER, *ASKED, *BODIES, *COST)}
                 columns[f"{title.lower()}: {name}"] = {k: v for k, v in cells.items() if v}
     last = measured[-1]
+    sizes = [r["clips"] for r in measured]
+    clips = " to ".join(map(str, sorted({min(sizes), max(sizes)})))
     about = (
-        f"Row *{row}* of docs/results.md: mean and half width of the 95 % interval over"
-        f" repetitions, {last['clips']} clips each; hash {last.get('weights', 'unknown')}. The"
+        f"Row *{row}* of docs/results.md: mean, and half width of the 95 % interval where there are"
+        f" several repetitions, of {clips} clips each; hash {last.get('weights', 'unknown')}. The"
         " judges are the project's own; only columns of this table can be compared."
     )
     return {"about": about, "columns": columns}

@@ -24,8 +24,9 @@ So these groups start from where they fit as one rigid piece (Kabsch 1976).
 it are turned. Where the two differ, angles are the better guess: places that the network is not
 sure of are drawn between two possible ones, which shortens forearms; angles have no length to lose.
 So keypoints first go most of the way to where the rotations put them. (On 50 duets whose keypoints
-and rotations were 1.9 cm apart, hands met in 94 instead of 88 %, and a classifier saw the right
-interaction in 82 instead of 76 %.) Where the two agree, as in captured motion, nothing changes.
+and rotations were 1.9 cm apart, with eight tenths of the way hands met in 94 instead of 88 %, and a
+classifier saw the right interaction in 82 instead of 76 %; all the way gave 94 and 84 %.) Where the
+two agree, as in captured motion, nothing changes.
 """
 
 from __future__ import annotations

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +13,7 @@ import torch
 from generator import checkpoint
 from generator.data import BatchConfig, BatchStream, DuetFolder
 from generator.given import TRAJECTORY
-from generator.runtime.portable import Sampling
-from generator.training.card import model_card
-from generator.training.config import RunConfig, load_config, parse
+from generator.training.config import RunConfig, load_config
 from generator.training.draws import draw
 from generator.training.freezing import frozen
 from generator.training.learner import Learner, TrainingDiverged
@@ -25,34 +22,15 @@ from generator.training.processes import Processes
 from generator.training.record import read_record
 from generator.training.train import LOG, STATE, Watch, train
 from generator.weights import load_weights
-from robots.errors import CheckpointError, MotionFileError, SpecError
+from robots.errors import CheckpointError, MotionFileError
+from tests.generator.small_run import small
 
 CONFIGS = Path(__file__).parents[2] / "configs"
-TINY = {"width": 16, "layers": 1, "heads": 2, "feedforward": 16, "dropout": 0.1}
 
 
 @pytest.fixture(autouse=True)
 def _one_thread() -> None:
     torch.set_num_threads(1)
-
-
-def small(folder: Path, **tables: dict[str, Any]) -> RunConfig:
-    """A run of a few steps on the three duets."""
-    data = {
-        "cache": str(folder / "cache"),
-        "frames": 16,
-        "source": [{"kind": "duets", "root": str(folder / "duets")}],
-    }
-    plain: dict[str, Any] = {
-        "name": "small",
-        "model": TINY,
-        "data": data,
-        "training": {"batch": 4, "steps": 6, "warmup_steps": 2, "learning_rate": 1e-3},
-        "log": {"steps": 2, "tensorboard": False},
-    }
-    for name, table in tables.items():
-        plain[name] = {**plain.get(name, {}), **table}
-    return parse(plain)
 
 
 def state_of(out: Path) -> dict[str, torch.Tensor]:
@@ -259,76 +237,10 @@ def test_a_dropped_text_is_a_zero_vector_for_the_network(folder: Path, tmp_path:
         assert torch.allclose(norms, torch.full_like(norms, 1 - share), atol=1e-5)
 
 
-def test_fine_tuning_starts_from_a_model_and_marks_what_it_learnt(
-    folder: Path, tmp_path: Path
-) -> None:
-    train(small(folder), tmp_path / "first")
-    tuned = small(
-        folder,
-        training={"initial": str(tmp_path / "first"), "freeze": "mixed", "learning_rate": 1e-9},
-        text={"encoder": "initial"},
-    )
-    train(tuned, tmp_path / "second")
-    first, second = (checkpoint.load(tmp_path / name) for name in ("first", "second"))
-    assert second.provenance.training["freeze"] == "mixed"
-    assert torch.equal(first.mean, second.mean)
-    for a, b in zip(first.parameters(), second.parameters(), strict=True):
-        torch.testing.assert_close(a, b, rtol=0, atol=1e-6)
-    wrong = small(folder, training={"initial": str(tmp_path / "first")}, model={"width": 32})
-    with pytest.raises(SpecError, match="width 16"):
-        train(wrong, tmp_path / "third")
-
-
-def test_a_trained_network_learns_on_with_people_told_apart(folder: Path, tmp_path: Path) -> None:
-    train(small(folder), tmp_path / "first")
-    more = {"initial": str(tmp_path / "first")}
-    train(small(folder, training=more, model={"told_apart": True}), tmp_path / "second")
-    learnt = checkpoint.load(tmp_path / "second")
-    assert learnt.config.told_apart
-    assert learnt.denoiser.person.abs().max() > 0
-    back = small(folder, training={"initial": str(tmp_path / "second")})
-    with pytest.raises(SpecError, match="told_apart True"):
-        train(back, tmp_path / "third")
-
-
-def test_who_has_been_taught_to_read_is_not_taught_again(folder: Path, tmp_path: Path) -> None:
-    told = {"model": {"told_apart": True}, "text": {"encoder": "minilm-names", "lessons": 2}}
-    train(small(folder, **told), tmp_path / "first")
-    assert (tmp_path / "first/lessons").is_dir()
-    more = {"initial": str(tmp_path / "first"), "seed": 5}
-    train(small(folder, **told, training=more), tmp_path / "second")
-    assert not (tmp_path / "second/lessons").exists()
-    first, second = (checkpoint.load(tmp_path / name) for name in ("first", "second"))
-    assert second.provenance.training["lessons"] == 2
-    assert second.provenance.training["earlier_steps"] == 6
-    card = model_card(second, Sampling(frames=16), "float32")
-    assert "6 steps, going on from a model of 6 steps; 2 steps of lessons in reading" in card
-    third = small(folder, **told, training={"initial": str(tmp_path / "second")})
-    train(third, tmp_path / "third")
-    learnt = checkpoint.load(tmp_path / "third").provenance.training
-    assert (learnt["earlier_steps"], learnt["lessons"]) == (12, 2)
-    for name, parameter in first.denoiser.named_parameters():
-        same = torch.equal(parameter, second.denoiser.get_parameter(name))
-        assert same or not ("embed_text" in name or name == "listener"), name
-    assert not torch.equal(first.denoiser.person, second.denoiser.person)
-
-
 def test_the_release_s_losses_can_be_trained_on(folder: Path, tmp_path: Path) -> None:
     outcome = train(small(folder, training={"loss": "release"}), tmp_path)
     assert {"VEL_A", "FC_B", "DM", "JA", "RO", "simple", "total"} <= set(outcome.losses)
     assert np.isfinite(outcome.losses["total"])
-
-
-def test_a_published_checkpoint_can_be_trained_further(
-    folder: Path, tmp_path: Path, golden: Path
-) -> None:
-    path = golden / "small_intergen_decoder.ckpt"
-    heads = 4
-    config = checkpoint.load_release(path, heads=heads).config
-    size = {k: getattr(config, k) for k in ("width", "layers", "heads", "feedforward")}
-    run = small(folder, model=size, training={"initial": str(path), "loss": "release"})
-    with pytest.raises(SpecError, match="text_width"):  # the shipped sentence encoder is narrower
-        train(run, tmp_path)
 
 
 def test_the_average_follows_the_weights_with_its_decay(folder: Path, tmp_path: Path) -> None:
