@@ -14,7 +14,6 @@ from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 from generator.choreographer.clearance import LEGS, TRUNK, clearances
 from generator.finishing.figure import Figure
 from generator.io.plausible import stature
-from generator.kinematics import unit
 from robots.skeleton import FloatArray
 
 TOLERATED = 0.015
@@ -24,6 +23,8 @@ _MOST = 0.25
 """Farthest that each person is moved, m."""
 _AROUND = 0.3
 """Time to either side over which a push is spread, s."""
+_INSIDE = 0.03
+"""Distance of pelvises below which people are pushed less, m."""
 _STATURE = 1.70
 
 
@@ -44,7 +45,9 @@ def push_apart(figures: tuple[Figure, Figure], fps: float) -> dict[str, float]:
     push = maximum_filter1d(push, size, mode="nearest")
     push = gaussian_filter1d(push, 0.4 * _AROUND * fps, radius=size // 2, mode="nearest")
     between = (figures[1].point("pelvis") - figures[0].point("pelvis")) * (1.0, 1.0, 0.0)
-    between = unit(gaussian_filter1d(between, _AROUND * fps, axis=0, mode="nearest"))
+    between = gaussian_filter1d(between, _AROUND * fps, axis=0, mode="nearest")
+    # Where one stands in the other there is no direction, and beside it each in turn.
+    between /= np.sqrt((between**2).sum(axis=1, keepdims=True) + _INSIDE**2)
     figures[0].shift(-0.5 * push[:, None] * between)
     figures[1].shift(0.5 * push[:, None] * between)
     return {"overlap": float(depth.max()), "pushed": float(0.5 * push.max())}

@@ -45,6 +45,8 @@ _RISE = 0.8
 """Lowest ankle in the air, over a standing ball, as a share of its height in the rest pose."""
 _SINK_TIME = 0.2
 """Time to either side over which pelvises sink and rise, s."""
+_PIVOT = 0.6
+"""Turning in a stance, rad, from which a foot pivots rather than stands askew for a moment."""
 _CLEAR = 0.01
 """How softly a foot in the air keeps off the floor, m."""
 _CLEAR_TIME = 0.15
@@ -55,6 +57,8 @@ _BESIDE = 0.05
 """Farthest that it may be from the place where it then stands, m."""
 _SWING = 0.27
 """Time that is left to a step in any case, s."""
+_SHUFFLE = 0.01
+"""Way between two stances that a foot may be moved in less time, m."""
 _STEP = 1.2
 """Longest time between two stances that is taken for a single step, s."""
 _LIFT, _LIFT_MOST = 0.25, 0.05
@@ -180,6 +184,7 @@ def _place(
         goal[at], down[at] = middle, True
     free = ~(stance.heel | stance.toe)
     _linger(path, goal, down, free, rest, fps)
+    _give_time(goal, down, fps)
     ball = down.copy()
     for at in runs(stance.heel & ~stance.toe):
         beside = [k for k in (at.start - 1, at.stop) if 0 <= k < len(down) and down[k]]
@@ -226,6 +231,24 @@ def _linger(
                 goal[k], down[k] = goal[stand], True
 
 
+def _give_time(goal: FloatArray, down: NDArray[np.bool_], fps: float) -> None:
+    """Let a step between two places take as long as a step takes, at the cost of both stances.
+
+    Args:
+        goal: ``[T, 3]`` m, where the ball goes while ``down``.
+        down: ``[T]``, when it stands; is changed.
+        fps: Frames per second.
+    """
+    least = round(_SWING * fps)
+    for gap in runs(~down):
+        short = least - (gap.stop - gap.start)
+        if not (gap.start and gap.stop < len(down)) or short <= 0:
+            continue
+        if np.linalg.norm(goal[gap.stop] - goal[gap.start - 1]) > _SHUFFLE:
+            first = max(0, gap.start - (short + 1) // 2)
+            down[first : gap.stop + short // 2] = False
+
+
 def _offset(figure: Figure, side: str) -> FloatArray:
     return figure.skeleton.offsets[figure.skeleton.index(f"{side}_foot")]
 
@@ -233,8 +256,8 @@ def _offset(figure: Figure, side: str) -> FloatArray:
 def _attitude(frame: NDArray, offset: NDArray, flat: NDArray[np.bool_]) -> FloatArray:
     """Return rotation vectors ``[T, 3]`` that give flat feet one attitude per stance.
 
-    Heading: the median of the stance. Inclination of the bone from ankle to ball: the median of all
-    flat moments, which is this body's own. Roll: none.
+    Heading: the median of the stance, unless the foot pivots on the spot. Inclination of the bone
+    from ankle to ball: the median of all flat moments, which is this body's own. Roll: none.
     """
     turn = np.zeros((len(frame), 3))
     if not flat.any():
@@ -245,8 +268,9 @@ def _attitude(frame: NDArray, offset: NDArray, flat: NDArray[np.bool_]) -> Float
     pitch = Rotation.from_euler("y", float(np.median(drop[flat]) - own)).as_matrix()
     heading = np.arctan2(frame[:, 1, 0], frame[:, 0, 0])
     for at in runs(flat):
-        middle = float(np.median(np.unwrap(heading[at])))
-        attitude = yaw(middle) @ pitch
+        course = np.unwrap(heading[at])
+        pivots = np.ptp(course) > _PIVOT
+        attitude = yaw(course if pivots else np.full_like(course, np.median(course))) @ pitch
         turn[at] = Rotation.from_matrix(attitude @ np.swapaxes(frame[at], -1, -2)).as_rotvec()
     return turn
 

@@ -11,6 +11,7 @@ import numpy as np
 from generator.finishing.apart import push_apart
 from generator.finishing.approach import step_nearer
 from generator.finishing.bones import fit_bones
+from generator.finishing.calm import calm, calmed
 from generator.finishing.denoise import denoise
 from generator.finishing.feet import plant_feet
 from generator.finishing.figure import Figure
@@ -36,6 +37,8 @@ _USUAL = 0.0004
 """Noise that clean keypoints seem to have, m: quick movement looks like it."""
 _USUAL_TURN = 0.001
 """The same of quaternions."""
+_AFTER = 1.2
+"""How much larger a jolt is allowed to be when feet and hands have their places, which it moves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +141,10 @@ def finish_with_changes(
     facts |= close_touches(pair, fps, contacts, settings) if settings.hands else {}
     if not motion.contacts:  # what nobody labelled and does not meet is no touch
         contacts = tuple(c for c in contacts if missed_by(pair, fps, c) <= settings.max_gap)
-    a, b = (f.motion(fps, down) for f, down in zip(figures, labels, strict=True))
+    a, b = (
+        calmed(f.motion(fps, down), _AFTER * settings.jolt)
+        for f, down in zip(figures, labels, strict=True)
+    )
     done = replace(motion, a=a, b=b, contacts=contacts)
     moved = [
         np.linalg.norm(person.keypoints - was, axis=-1).mean()
@@ -178,6 +184,7 @@ def _body(
     )
     root = resample(root, person.fps, fps)
     rotations = resample_rotations(rotations, person.fps, fps)
+    root, rotations = calm(fitted, root, rotations, fps, settings.jolt)
     change = float(np.linalg.norm(points - person.keypoints, axis=-1).mean())
     return Figure(fitted, root, rotations), change
 

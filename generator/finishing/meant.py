@@ -19,9 +19,10 @@ _SIDE = re.compile(r"\b(left|right)\b", re.IGNORECASE)
 
 
 def meetings_of(text: str, start: float = 0.0, end: float = math.inf) -> tuple[Meeting, ...]:
-    """Return the points that a sentence wants to meet; none if it is outside the repertoire.
+    """Return the points that a sentence wants to meet.
 
-    Unless it names a side, the mirror image will do.
+    None if it is outside the repertoire, or says of each person what they do alone. Unless it names
+    a side, the mirror image will do.
 
     Args:
         text: The sentence.
@@ -29,7 +30,7 @@ def meetings_of(text: str, start: float = 0.0, end: float = math.inf) -> tuple[M
         end: When it ends, s.
     """
     meaning = understand(text[:LONGEST])
-    if not meaning.known:
+    if not meaning.known or meaning.exchange is not None:
         return ()
     either = _SIDE.search(text) is None
     pairs = touching(meaning.interaction, meaning.style)
