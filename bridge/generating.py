@@ -77,7 +77,7 @@ def make(
         from generator.choreographer.from_text import generate as choreograph
 
         motion, understood = choreograph(text, seed=seed, nearest=nearest_known, style=style)
-        confidence = round(float(understood.confidence), 4)
+        confidence = round(float(understood.certainty), 4)
         return motion, {"generator": generator, "confidence": confidence}
     start = time.process_time()
     if generator == "intergen":

@@ -18,6 +18,7 @@ from generator.choreographer import (
 )
 from generator.choreographer.checks import Examination, examine
 from generator.choreographer.compose import LICENCE, SOURCE, choreograph, touching
+from generator.choreographer.exchange import GESTURES, STAND, exchange
 from generator.choreographer.from_text import generate
 from generator.choreographer.interaction import Interaction, lookup, repertoire
 from generator.choreographer.sampling import Tally, random_bodies, random_style, sample
@@ -40,14 +41,17 @@ FAMILIES = (
 
 __all__ = [
     "FAMILIES",
+    "GESTURES",
     "LICENCE",
     "SOURCE",
+    "STAND",
     "Examination",
     "Interaction",
     "Style",
     "Tally",
     "choreograph",
     "examine",
+    "exchange",
     "generate",
     "lookup",
     "random_bodies",

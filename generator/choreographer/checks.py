@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from generator.choreographer.clearance import ARMS, LEGS, TRUNK, clearances
+from generator.choreographer.exchange import is_exchange
 from generator.choreographer.interaction import lookup
 from generator.choreographer.role import Build
 from generator.motion import CONTACT_POINTS, DuetMotion, Motion
@@ -81,7 +82,7 @@ def examine(duet: DuetMotion) -> Examination:
         MotionError: The duet has no labels of standing feet.
         PromptError: It is not of the repertoire.
     """
-    people = duet.people
+    people, name = duet.people, duet.interaction
     return Examination(
         reach=_reach(duet),
         overlap=_overlap(duet),
@@ -91,7 +92,7 @@ def examine(duet: DuetMotion) -> Examination:
         acceleration=max(_acceleration(motion) for motion in people),
         skate=max(_skate(motion) for motion in people),
         lean=max(_lean(motion) for motion in people),
-        allowed_overlap=lookup(duet.interaction).overlap,
+        allowed_overlap=OVERLAP if is_exchange(name) else lookup(name).overlap,
     )
 
 

@@ -43,28 +43,20 @@ def choreograph(
     entry = lookup(interaction)
     style = style or Style()
     bodies = skeletons or (human_skeleton(), human_skeleton())
-    cast = bodies[::-1] if style.swap else bodies
-    left_handed = style.handedness == "left"
-    builds = tuple(Build.of(mirrored_skeleton(s) if left_handed else s) for s in cast)
+    builds = cast(bodies, style)
     salt = list(entry.name.encode())
 
     def attempt(near: float) -> tuple[Stage, tuple[Pose, Pose]]:
         rng = np.random.default_rng([seed, *salt])
-        stage = Stage((builds[0], builds[1]), style, rng, near)
+        stage = Stage(builds, style, rng, near)
         entry.staging(stage)
         return stage, pose_trunks(stage)
 
     stage, pair = solve(entry.spacing, attempt)
     slide_into_reach(pair)
     pose_arms(pair)
-    motions = [pose.motion(FPS) for pose in pair]
-    if left_handed:
-        motions = [_mirrored(motion) for motion in motions]
-    if style.swap:
-        motions = [_turned(motion) for motion in reversed(motions)]
     return DuetMotion(
-        motions[0],
-        motions[1],
+        *finished(pair, style),
         seed=seed,
         source=SOURCE,
         licence=LICENCE,
@@ -84,6 +76,22 @@ def touching(interaction: str, style: Style | None = None) -> tuple[tuple[str, s
     stage = Stage((build, build), style or Style(), np.random.default_rng(0), USUAL)
     entry.staging(stage)
     return tuple(dict.fromkeys((touch.a, touch.b) for touch in _labels(stage)))
+
+
+def cast(bodies: tuple[Skeleton, Skeleton], style: Style) -> tuple[Build, Build]:
+    """Return the builds of the leading and the answering role, as they are on stage."""
+    leading, answering = bodies[::-1] if style.swap else bodies
+    if style.handedness == "left":
+        leading, answering = mirrored_skeleton(leading), mirrored_skeleton(answering)
+    return Build.of(leading), Build.of(answering)
+
+
+def finished(pair: tuple[Pose, Pose], style: Style) -> tuple[Motion, Motion]:
+    """Return the motions of person a and person b, with the hands and roles of the style."""
+    first, second = (pose.motion(FPS) for pose in pair)
+    if style.handedness == "left":
+        first, second = _mirrored(first), _mirrored(second)
+    return (_turned(second), _turned(first)) if style.swap else (first, second)
 
 
 def _labels(stage: Stage) -> tuple[Contact, ...]:
@@ -148,4 +156,12 @@ def _labelled(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
     return motion.rotations, motion.foot_contacts
 
 
-__all__ = ["LICENCE", "SOURCE", "choreograph", "mirrored_skeleton", "touching"]
+__all__ = [
+    "LICENCE",
+    "SOURCE",
+    "cast",
+    "choreograph",
+    "finished",
+    "mirrored_skeleton",
+    "touching",
+]

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from generator.choreographer.compose import choreograph
+from generator.choreographer.exchange import exchange
 from generator.motion import DuetMotion
 
 if TYPE_CHECKING:
@@ -38,6 +39,10 @@ def generate(
     from generator.text import choose  # the text package takes Style from this one
 
     meaning = choose(text, nearest=nearest, encoder=encoder)
+    if meaning.exchange is not None:
+        one, other = (replace(s, **(style or {})) for s in meaning.exchange.styles)
+        motion = exchange(meaning.exchange.gestures, seed=seed, styles=(one, other))
+        return replace(motion, text=text), meaning
     if style:
         meaning = replace(meaning, style=replace(meaning.style, **style))
     motion = choreograph(meaning.interaction, seed=seed, style=meaning.style)

@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 from generator.choreographer.arms import extension
 from generator.choreographer.clearance import LEGS, TRUNK, clearances
 from generator.choreographer.pose import Pose
+from generator.choreographer.role import Role
 from generator.choreographer.stage import Stage
 from generator.choreographer.trunk import pose_head, pose_trunk
 
@@ -94,8 +95,13 @@ def _root(excess: Callable[[float], float], tolerance: float) -> float:
 
 
 def pose_trunks(stage: Stage) -> Pair:
-    """Return both bodies without arms."""
-    first, second = (pose_trunk(role, stage.style.energy) for role in stage.people)
+    """Return both bodies of a stage without arms."""
+    return pose_pair(stage.people, (stage.style.energy, stage.style.energy))
+
+
+def pose_pair(roles: tuple[Role, Role], energies: tuple[float, float]) -> Pair:
+    """Return two bodies without arms, each of which may look at the other."""
+    first, second = (pose_trunk(role, e) for role, e in zip(roles, energies, strict=True))
     pose_head(first, second)
     pose_head(second, first)
     return first, second

@@ -80,16 +80,26 @@ class Stage:
         style: Manner of the performance.
         rng: Source of chance; the same draws in the same order for each run of one seed.
         near: Distance between the two pelvises when together, m.
+        wait: Time that the first phase is put off, s.
+        until: The clock goes on at least so long, s.
         first: Leading role; starts on the -x side, facing +x.
         second: Answering role.
         touches: Labels, with points of the first role under ``a``.
     """
 
     def __init__(
-        self, builds: tuple[Build, Build], style: Style, rng: np.random.Generator, near: float
+        self,
+        builds: tuple[Build, Build],
+        style: Style,
+        rng: np.random.Generator,
+        near: float,
+        *,
+        wait: float = 0.0,
+        until: float = 0.0,
     ) -> None:
         """Prepare a stage; roles exist once the clock is set by :meth:`phases`."""
         self.builds, self.style, self.rng, self.near = builds, style, rng, near
+        self.wait, self.until = wait, until
         self.scale = 0.5 * (builds[0].scale + builds[1].scale)
         self.touches: list[Contact] = []
         self.times: FloatArray = np.zeros(0)
@@ -112,12 +122,13 @@ class Stage:
         A short time of standing goes before and after. ``restless`` is how far the weight wanders
         from foot to foot, m at 1.70 m; who is restless also looks away now and then.
         """
-        moment, spans = CALM, []
+        moment, spans = CALM + self.wait, []
         for seconds in (approach, prepare, contact, hold, release, depart):
             length = seconds * self.rng.uniform(0.92, 1.08) / self.style.speed
             spans.append(Span(moment, moment + length))
             moment += length
-        self.times = np.arange(round((moment + CALM) * FPS) + 1) / FPS
+        end = max(moment + CALM, self.until)
+        self.times = np.arange(round(end * FPS) + 1) / FPS
         self.first, self.second = (Role(build, self.times) for build in self.builds)
         for role in self.people:
             self._liven(role)

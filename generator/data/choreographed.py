@@ -75,7 +75,7 @@ def manners() -> list[Manner]:
 def unseen_manner(interaction: str) -> Manner:
     """Return the manner in which training does not know an interaction."""
     options = [manner for manner in manners() if manner.field in _HELD_OUT_FIELDS]
-    return options[_number(interaction) % len(options)]
+    return options[number_of(interaction) % len(options)]
 
 
 def clauses_of(interaction: str, *, unseen: bool) -> tuple[Clause, ...]:
@@ -85,7 +85,7 @@ def clauses_of(interaction: str, *, unseen: bool) -> tuple[Clause, ...]:
     chosen: list[Clause] = []
     for voice in VOICES:
         clauses = [c for c in entry_of(interaction).clauses if c.voice == voice]
-        clauses.sort(key=lambda clause: _number(f"{interaction}: {clause.words}"))
+        clauses.sort(key=lambda clause: number_of(f"{interaction}: {clause.words}"))
         held = max(1, len(clauses) // HELD_OUT) if len(clauses) > 2 else 0
         chosen += clauses[:held] if unseen else clauses[held:]
     return tuple(chosen)
@@ -257,5 +257,6 @@ def symmetries(style: Style) -> Sequence[Style]:
     return style, mirrored, *(replace(s, swap=not s.swap) for s in (style, mirrored))
 
 
-def _number(text: str) -> int:
+def number_of(text: str) -> int:
+    """Return a number that a text decides, the same on every machine."""
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")

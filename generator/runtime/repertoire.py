@@ -46,8 +46,8 @@ def read(texts: tuple[str, ...], *, nearest: bool) -> Reading:
         meaning = choose(text, nearest=nearest)
         facts.append(
             {
-                "interaction": meaning.interaction,
-                "confidence": round(float(meaning.confidence), 4),
+                "interaction": meaning.deed,
+                "confidence": round(float(meaning.certainty), 4),
             }
         )
         if not meaning.known:

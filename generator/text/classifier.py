@@ -33,12 +33,20 @@ class LinearClassifier:
         names: Labels in the order of the columns of the map.
     """
 
-    def __init__(self, vectors: NDArray, labels: Sequence[str]) -> None:
-        """Fit the map to vectors ``[N, D]`` and their labels."""
+    def __init__(
+        self, vectors: NDArray, labels: Sequence[str], *, outside: float = OUTSIDE_WEIGHT
+    ) -> None:
+        """Fit the map.
+
+        Args:
+            vectors: ``[N, D]``, unit vectors.
+            labels: Of each.
+            outside: Weight of the outside label relative to another one.
+        """
         self.names = tuple(dict.fromkeys(labels))
         column = np.array([self.names.index(label) for label in labels])
         weight = 1.0 / np.bincount(column)[column]
-        weight[np.array(labels) == OUTSIDE] *= OUTSIDE_WEIGHT
+        weight[np.array(labels) == OUTSIDE] *= outside
         weight *= len(weight) / weight.sum()
         x = vectors.astype(float)
         y = np.eye(len(self.names))[column]

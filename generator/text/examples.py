@@ -14,8 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
+from generator.choreographer.exchange import GESTURES
 from generator.choreographer.style import Style
 from generator.text.encoder import FloatVectors, SentenceEncoder
+from generator.text.gestures import no_gestures, spoken
 from generator.text.grammar import describe, entry_of
 from robots.errors import MotionFileError
 from robots.files import read_archive, write_archive
@@ -66,24 +68,50 @@ def _clauses(interaction: str) -> list[str]:
     return [t if t[:2] in ("A ", "B ") else t[0].lower() + t[1:] for t in texts]
 
 
-def encode_examples(encoder: SentenceEncoder) -> FloatVectors:
-    """Return the vectors ``[N, D]`` of :func:`examples`, in the precision in which they ship."""
-    return encoder.encode(examples().sentences).astype(np.float16).astype(np.float32)
+@cache
+def gesture_examples() -> Examples:
+    """Return one-person sentences: gestures, and everything else that the repertoire holds.
+
+    They tell what one half of a sentence means ("... and the other waves back").
+    """
+    told = [(g, f"one person {w}") for g in GESTURES for w in spoken(g)]
+    told += [(OUTSIDE, f"one person {words}") for words in no_gestures()]
+    known = examples()
+    told += [
+        (OUTSIDE, sentence)
+        for sentence, label in zip(known.sentences, known.labels, strict=True)
+        if label not in GESTURES
+    ]
+    return Examples(tuple(s for _, s in told), tuple(n for n, _ in told))
 
 
-def shipped_vectors() -> FloatVectors | None:
+def encode_examples(encoder: SentenceEncoder, of: Examples | None = None) -> FloatVectors:
+    """Return the vectors ``[N, D]`` of examples in the precision in which they ship.
+
+    Args:
+        encoder: The encoder.
+        of: Which examples; :func:`examples` by default.
+    """
+    sentences = (of or examples()).sentences
+    return encoder.encode(sentences).astype(np.float16).astype(np.float32)
+
+
+def shipped_vectors(of: Examples | None = None) -> FloatVectors | None:
     """Return the vectors that ship, or ``None`` if they are not of today's sentences."""
+    digest = (of or examples()).digest
     with resources.as_file(resources.files("generator.text").joinpath(VECTORS_FILE)) as path:
         try:
             header, arrays = read_archive(path)
         except MotionFileError:
             return None
-    if header is None or header.get("digest") != examples().digest or "vectors" not in arrays:
-        return None
-    return arrays["vectors"].astype(np.float32)
+    for name in arrays:
+        if header is not None and header.get(name) == digest:
+            return arrays[name].astype(np.float32)
+    return None
 
 
 def write_vectors(encoder: SentenceEncoder, path: str | Path) -> None:
-    """Write the vectors of :func:`examples` to a file; for use after the sentences changed."""
-    vectors = encode_examples(encoder).astype(np.float16)
-    write_archive(path, {"digest": examples().digest}, {"vectors": vectors})
+    """Write the vectors of all examples to a file; for use after the sentences changed."""
+    kinds = {"repertoire": examples(), "gestures": gesture_examples()}
+    vectors = {name: encode_examples(encoder, of).astype(np.float16) for name, of in kinds.items()}
+    write_archive(path, {name: of.digest for name, of in kinds.items()}, vectors)

@@ -78,7 +78,8 @@ def choices(pattern: str) -> list[str]:
 
 
 @cache
-def _people() -> dict:
+def people() -> dict:
+    """Return what people are called and how a style is said, from ``people.toml``."""
     return _read("people.toml")
 
 
@@ -162,7 +163,7 @@ def describe(
     clause = _pick([c for c in able if c.voice == voice], rng)
     text = _named(clause, style, rng)
     if entry.handed and style.handedness == "left":
-        text += " " + _pick(_people()["hand"]["together" if voice == "together" else "single"], rng)
+        text += " " + _pick(people()["hand"]["together" if voice == "together" else "single"], rng)
     words = _manner(style, rng, apart=isinstance(lookup(interaction).spacing, Apart))
     manner = _joined(list(words.values()))
     before = manner.endswith("ly") and "," not in text and not text.startswith(("A ", "B "))
@@ -182,11 +183,11 @@ def _joined(words: list[str]) -> str:
 
 def _named(clause: Clause, style: Style, rng: np.random.Generator) -> str:
     """Return a clause with names in it."""
-    people = _people()
+    called = people()
     if clause.voice == "together":
-        return f"{_pick(people['together'], rng)} {clause.words}"
+        return f"{_pick(called['together'], rng)} {clause.words}"
     explicit = style.swap or rng.random() < 0.5
-    first, second = _pick(people["explicit" if explicit else "implicit"], rng)
+    first, second = _pick(called["explicit" if explicit else "implicit"], rng)
     if style.swap:
         first, second = second, first
     return clause.words.replace("{first}", first).replace("{second}", second)
@@ -203,7 +204,7 @@ def _manner(style: Style, rng: np.random.Generator, *, apart: bool) -> dict[str,
             continue
         away = getattr(style, name) - ordinary
         if abs(away) >= NOTABLE[name]:
-            known = _people()["manner"][name].get("low" if away < 0 else "high")
+            known = people()["manner"][name].get("low" if away < 0 else "high")
             if known:
                 words[name] = _pick(known, rng)
     kept = rng.permutation(list(words))[:MOST_WORDS] if words else []
@@ -216,4 +217,4 @@ def _pick(options: list, rng: np.random.Generator):
 
 def manner_words(name: str, direction: Literal["low", "high"]) -> list[str]:
     """Return the words that say that a number of the style is low or high."""
-    return list(_people()["manner"][name].get(direction, ()))
+    return list(people()["manner"][name].get(direction, ()))

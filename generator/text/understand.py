@@ -5,15 +5,26 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 
+from generator.choreographer.exchange import GESTURES, JOINT
 from generator.choreographer.style import Style
-from generator.text.classifier import LinearClassifier
+from generator.text.classifier import OUTSIDE_WEIGHT, LinearClassifier
 from generator.text.encoder import SentenceEncoder, default_encoder
-from generator.text.examples import OUTSIDE, encode_examples, examples, shipped_vectors
+from generator.text.examples import (
+    OUTSIDE,
+    Examples,
+    encode_examples,
+    examples,
+    gesture_examples,
+    shipped_vectors,
+)
+from generator.text.halves import Exchange, Gesture, exchange_of
 from generator.text.manner import manner_of
 from robots.errors import PromptError
 
 LONGEST = 1000
 """Longest sentence that is read, characters."""
+OUTSIDE_OF_GESTURES = 2.0
+"""Weight of what is no gesture relative to one gesture: its examples are many already."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,11 +43,23 @@ class Understanding:
     """All interactions with their probabilities, most probable first."""
     style: Style
     """Manner and roles: tempo, vigour, size, distance, hand, who leads."""
+    exchange: Exchange | None = None
+    """What each does, if the sentence says it of each alone."""
+
+    @property
+    def deed(self) -> str:
+        """Name of what is done: the interaction, or the two gestures."""
+        return self.interaction if self.exchange is None else JOINT.join(self.exchange.gestures)
+
+    @property
+    def certainty(self) -> float:
+        """Probability of what is done, 0..1."""
+        return self.confidence if self.exchange is None else self.exchange.confidence
 
     @property
     def known(self) -> bool:
-        """Whether the repertoire holds what the sentence asks for."""
-        return self.confidence > self.outside
+        """Whether the choreographer can do what the sentence asks for."""
+        return self.exchange is not None or self.confidence > self.outside
 
 
 class Interpreter:
@@ -51,11 +74,16 @@ class Interpreter:
         Raises:
             CheckpointError: The encoder that ships is missing or damaged.
         """
-        vectors = shipped_vectors() if encoder is None else None
         self._encoder = default_encoder() if encoder is None else encoder
+        self._ships = encoder is None
+        self._classifier = self._learnt(examples(), OUTSIDE_WEIGHT)
+        self._gestures: LinearClassifier | None = None
+
+    def _learnt(self, known: Examples, outside: float) -> LinearClassifier:
+        vectors = shipped_vectors(known) if self._ships else None
         if vectors is None:
-            vectors = encode_examples(self._encoder)
-        self._classifier = LinearClassifier(vectors, examples().labels)
+            vectors = encode_examples(self._encoder, known)
+        return LinearClassifier(vectors, known.labels, outside=outside)
 
     def understand(self, text: str) -> Understanding:
         """Return what a sentence means.
@@ -75,7 +103,18 @@ class Interpreter:
         outside = odds.pop(OUTSIDE)
         ranking = tuple(sorted(odds.items(), key=lambda item: -item[1]))
         name, confidence = ranking[0]
-        return Understanding(text, name, confidence, outside, ranking, manner_of(sentence))
+        # A whole that is clear is no exchange: "one holds up a palm and the other claps it".
+        whole = confidence > 0.5 and name not in GESTURES
+        found = None if whole else exchange_of(sentence, self._gesture)
+        return Understanding(text, name, confidence, outside, ranking, manner_of(sentence), found)
+
+    def _gesture(self, sentence: str) -> Gesture | None:
+        """Return what a sentence says that one person does, if it is a gesture."""
+        if self._gestures is None:
+            self._gestures = self._learnt(gesture_examples(), OUTSIDE_OF_GESTURES)
+        odds = self._gestures.probabilities(self._encoder.encode([sentence]))[0]
+        name = self._gestures.names[int(odds.argmax())]
+        return None if name == OUTSIDE else Gesture(name, float(odds.max()))
 
 
 @cache

@@ -27,7 +27,9 @@ _ADJUSTABLE = {"name", "checkpoint", "log"}
 """Tables that may change between two parts of one run."""
 
 
-_SPLITS = {"interhuman": ("train", "val", "test"), "choreographed": SPLITS}
+INVENTED = ("choreographed", "exchanged")
+"""Kinds of clips that the choreographer invents."""
+_SPLITS = {"interhuman": ("train", "val", "test"), **dict.fromkeys(INVENTED, SPLITS)}
 
 
 def _require(where: str, value: float, low: float, high: float = math.inf) -> None:
@@ -77,17 +79,18 @@ class SourceConfig:
         SpecError: A setting does not belong to the kind, or is missing.
     """
 
-    kind: Literal["interhuman", "duets", "choreographed"]
-    """The dataset on the user's disk, a folder of motion files, or the choreographer."""
+    kind: Literal["interhuman", "duets", "choreographed", "exchanged"]
+    """The dataset on the user's disk, a folder of motion files, or what the choreographer invents:
+    interactions of its repertoire, or exchanges in which each person has a gesture of their own."""
     root: str = ""
     """Folder of ``interhuman`` or ``duets``."""
     split: Literal["train", "val", "test", "sentences", "combinations"] = "train"
-    """Which part of ``interhuman``, or of what is ``choreographed``
+    """Which part of ``interhuman``, or of what is invented
     (:data:`generator.data.choreographed.SPLITS`)."""
     count: int = 2000
-    """Clips of ``choreographed``."""
+    """Clips of what is invented."""
     seed: int = 0
-    """Seed of ``choreographed``."""
+    """Seed of what is invented."""
     repaired: str = ""
     """Folder of ``pasdedeux curate``: of ``choreographed`` clips, take those that physics let pass,
     as it repaired them."""
@@ -100,7 +103,7 @@ class SourceConfig:
 
     def __post_init__(self) -> None:
         """Validate."""
-        if (self.kind == "choreographed") == bool(self.root):
+        if (self.kind in INVENTED) == bool(self.root):
             raise SpecError(
                 f"'{self.kind}' takes {'no' if self.root else 'a'} folder", where="root"
             )

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -20,66 +21,118 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
+from generator.data import exchanged
 from generator.data.choreographed import clauses_of, drawn_style
 from generator.denoiser import Denoiser
 from generator.training.fit import Fit, fit
 from generator.training.texts import TextTable
 
+if TYPE_CHECKING:
+    from generator.choreographer import Style
+
 BATCH = 48
 """Sentences of a step."""
 POOL = 12_000
 """Sentences in all."""
+EXCHANGES = 4
+"""One sentence in so many is about an exchange of gestures."""
 RATE, DECAY = 5e-4, 1e-2
 """Highest learning rate, and weight decay."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lesson:
-    """Sentences with what they say."""
+    """Sentences with what they say, of person a and of person b."""
 
     texts: tuple[str, ...]
     """N sentences."""
-    interaction: NDArray[np.int64]
-    """``[N]``, what is done, as a number in the repertoire."""
+    deed: NDArray[np.int64]
+    """``[N, 2]``, what each does, as a number in :func:`deeds`."""
     second_leads: NDArray[np.bool_]
-    """``[N]``, whether person b leads."""
+    """``[N]``, whether person b leads, or begins."""
     manner: NDArray[np.int64]
-    """``[N, M]``, for each number of the style: 0 nothing is said of it, 1 it is low, 2 high."""
+    """``[N, 2, M]``, for each number of a style: 0 nothing is said of it, 1 it is low, 2 high."""
     left: NDArray[np.bool_]
-    """``[N]``, whether the left hand is said to do it."""
+    """``[N, 2]``, whether the left hand is said to do it."""
+
+
+def deeds() -> tuple[str, ...]:
+    """Return all that somebody can do: the interactions of the repertoire, and standing."""
+    from generator.choreographer import STAND, repertoire
+
+    return (*repertoire(), STAND)
 
 
 def lesson(count: int, seed: int) -> Lesson:
     """Return sentences in the wordings and manners that training knows."""
     from generator.choreographer import repertoire
-    from generator.text.grammar import ORDINARY, describe, entry_of
+    from generator.text.grammar import ORDINARY
 
     rng, names = np.random.default_rng(seed), repertoire()
-    texts, second, left = [], [], []
-    manner = np.zeros((count, len(ORDINARY)), np.int64)
-    interaction = np.arange(count) % len(names)
-    for row, number in enumerate(interaction):
-        name = names[number]
-        style = drawn_style(name, "train", rng)
-        sentence = describe(name, style, rng, clauses=clauses_of(name, unseen=False))
-        texts.append(sentence.text)
-        second.append(style.swap)
-        left.append(entry_of(name).handed and style.handedness == "left")
-        for column, (field, ordinary) in enumerate(ORDINARY.items()):
-            if field in sentence.said:
-                manner[row, column] = 1 if getattr(style, field) < ordinary else 2
-    return Lesson(tuple(texts), interaction, np.array(second), manner, np.array(left))
+    texts, second = [], np.zeros(count, np.bool_)
+    deed, left = np.zeros((count, 2), np.int64), np.zeros((count, 2), np.bool_)
+    manner = np.zeros((count, 2, len(ORDINARY)), np.int64)
+    for row in range(count):
+        if row % EXCHANGES == 0:
+            told = _of_exchange(rng)
+        else:
+            told = _of_interaction(names[(row - row // EXCHANGES) % len(names)], rng)
+        texts.append(told.text)
+        second[row] = told.styles[0].swap
+        for part, style in enumerate(told.styles):
+            person = part ^ int(style.swap)
+            deed[row, person] = deeds().index(told.deeds[part])
+            left[row, person] = told.handed[part] and style.handedness == "left"
+            for column, (field, ordinary) in enumerate(ORDINARY.items()):
+                if field in told.said[part]:
+                    manner[row, person, column] = 1 if getattr(style, field) < ordinary else 2
+    return Lesson(tuple(texts), deed, second, manner, left)
+
+
+class _Told(NamedTuple):
+    """A sentence with what it says of who leads or begins, and of the other."""
+
+    text: str
+    deeds: tuple[str, str]
+    styles: tuple[Style, Style]
+    said: tuple[Sequence[str], Sequence[str]]
+    handed: tuple[bool, bool]
+
+
+def _of_interaction(name: str, rng: np.random.Generator) -> _Told:
+    from generator.text.grammar import describe, entry_of
+
+    style = drawn_style(name, "train", rng)
+    sentence = describe(name, style, rng, clauses=clauses_of(name, unseen=False))
+    handed = entry_of(name).handed
+    return _Told(
+        sentence.text,
+        (name, name),
+        (style, style),
+        (sentence.said, sentence.said),
+        (handed, handed),
+    )
+
+
+def _of_exchange(rng: np.random.Generator) -> _Told:
+    from generator.text.gestures import vocabulary
+
+    known = exchanged.pairs("train")
+    gestures, styles = known[rng.integers(len(known))], exchanged.drawn_styles(rng)
+    sentence = exchanged.told(gestures, styles, "train", rng)
+    one, other = (vocabulary(gesture).handed for gesture in gestures)
+    return _Told(sentence.text, gestures, styles, sentence.said, (one, other))
 
 
 class Pupil(nn.Module):
     """The layers of a denoiser that read, and what tells how well they do."""
 
-    def __init__(self, denoiser: Denoiser, interactions: int, manners: int) -> None:
+    def __init__(self, denoiser: Denoiser, deeds: int, manners: int) -> None:
         """Take the layers of a denoiser, which learn in place.
 
         Args:
             denoiser: Whose layers.
-            interactions: Things that can be done.
+            deeds: Things that can be done.
             manners: Numbers of a style.
         """
         super().__init__()
@@ -87,18 +140,26 @@ class Pupil(nn.Module):
         self.layers = nn.ModuleList(net.embed_text for net in denoiser.networks)
         if denoiser.config.told_apart:
             self.listener = denoiser.listener
-        self.sizes = [interactions, 1, 3 * manners, 1]
+        self.sizes = [2 * deeds, 1, 2 * 3 * manners, 2]
         self.tell = nn.Linear(denoiser.config.width, sum(self.sizes))
 
     def forward(self, cond: Tensor) -> Sequence[Tensor]:
         """Return for each of P listeners and B sentences ``[B, C]`` how likely what is said is.
 
         Returns:
-            Interactions ``[P, B, I]``, whether the listener leads ``[P, B, 1]``, manners
-            ``[P, B, 3 M]`` and whether it is the left hand ``[P, B, 1]``, all before the softmax.
+            Deeds ``[P, B, 2, I]`` of the listener and of the partner, whether the listener leads
+            ``[P, B]``, manners ``[P, B, 2, M, 3]`` and left hands ``[P, B, 2]``, all before the
+            softmax.
         """
         # As it reaches the blocks, but for the time.
-        return self.tell(functional.silu(self._read(cond))).split(self.sizes, dim=-1)
+        told = self.tell(functional.silu(self._read(cond)))
+        what, leads, manner, left = told.split(self.sizes, dim=-1)
+        return (
+            what.unflatten(-1, (2, -1)),
+            leads[..., 0],
+            manner.unflatten(-1, (2, -1, 3)),
+            left,
+        )
 
 
 def loss(told: Sequence[Tensor], true: Lesson, rows: NDArray[np.int64]) -> Tensor:
@@ -106,17 +167,19 @@ def loss(told: Sequence[Tensor], true: Lesson, rows: NDArray[np.int64]) -> Tenso
     what, leads, manner, left = told
     people = len(what)
 
-    def each(values: NDArray) -> Tensor:
-        return torch.from_numpy(values[rows]).expand(people, *values[rows].shape)
+    def heard(values: NDArray) -> Tensor:
+        """Return values ``[N, 2, ...]`` as ``[P, B, 2, ...]``: of the listener, of the partner."""
+        chosen = torch.from_numpy(values[rows])
+        return torch.stack([chosen, chosen.flip(1)][:people])
 
     # The second listener leads where person b does.
-    own = each(true.second_leads) == torch.tensor([False, True])[:people, None]
-    manner = manner.unflatten(-1, (-1, 3))
+    second = torch.from_numpy(true.second_leads[rows])
+    own = torch.stack([~second, second][:people])
     return (
-        functional.cross_entropy(what.flatten(0, 1), each(true.interaction).flatten())
-        + functional.binary_cross_entropy_with_logits(leads[..., 0], own.to(leads.dtype))
-        + functional.cross_entropy(manner.flatten(0, 2), each(true.manner).flatten())
-        + functional.binary_cross_entropy_with_logits(left[..., 0], each(true.left).to(left.dtype))
+        functional.cross_entropy(what.flatten(0, 2), heard(true.deed).flatten())
+        + functional.binary_cross_entropy_with_logits(leads, own.to(leads.dtype))
+        + functional.cross_entropy(manner.flatten(0, 3), heard(true.manner).flatten())
+        + functional.binary_cross_entropy_with_logits(left, heard(true.left).to(left.dtype))
     )
 
 
@@ -147,7 +210,7 @@ def teach(
     """
     device = denoiser.positions.device
     true = lesson(POOL, seed)
-    pupil = Pupil(denoiser, int(true.interaction.max()) + 1, true.manner.shape[1]).to(device)
+    pupil = Pupil(denoiser, len(deeds()), true.manner.shape[2]).to(device)
 
     def loss_of(step: int) -> Tensor:
         rows = np.random.default_rng([seed, step]).integers(POOL, size=BATCH)
@@ -156,7 +219,7 @@ def teach(
             told = pupil(cond)
         return loss([part.float().cpu() for part in told], true, rows)
 
-    identity = f"lessons {steps} {seed} {low_precision} {POOL} {BATCH} {denoiser.config}"
+    identity = f"lessons/2 {steps} {seed} {low_precision} {POOL} {BATCH} {denoiser.config}"
     how = Fit(steps, RATE, DECAY, seed=seed)
     fit(pupil, loss_of, how, state=state, identity=identity, report=report)
     freeze_reading(denoiser)

@@ -27,7 +27,7 @@ from generator.model_folder import HEADER, place_file, read_header, remove_other
 from generator.runtime.network import INPUTS, OUTPUT, Network
 from generator.runtime.portable import NETWORK, PRECISIONS, REPERTOIRE, Precision, Sampling
 from generator.training.card import CARD, Figures, model_card
-from generator.training.config import load_config
+from generator.training.config import INVENTED, load_config
 from generator.training.train import CONFIG
 from robots.errors import CheckpointError, MotionFileError, SpecError
 from robots.files import whole_file
@@ -109,7 +109,7 @@ def _knows_the_repertoire_alone(run: Path) -> bool:
     """Return whether all that a run learns from was invented by the choreographer."""
     if not (run / CONFIG).is_file():
         return read_header(run).get(REPERTOIRE) is True
-    return {source.kind for source in load_config(run / CONFIG).data.source} == {"choreographed"}
+    return {source.kind for source in load_config(run / CONFIG).data.source} <= {*INVENTED}
 
 
 def write_portable(

@@ -18,6 +18,7 @@ from generator.data import (
     Curated,
     Curation,
     DuetFolder,
+    Exchanged,
     FeatureStatistics,
     InterHuman,
     cached,
@@ -124,7 +125,8 @@ def make_source(config: SourceConfig) -> ClipSource:
     if config.repaired:
         curation = Curation(Path(config.repaired), split, config.seed, config.count)
         return Curated(curation, poses=config.poses, unjudged=config.unjudged)
-    return Choreographed(config.count, seed=config.seed, split=split)
+    invent = Exchanged if config.kind == "exchanged" else Choreographed
+    return invent(config.count, seed=config.seed, split=split)
 
 
 def shared_caches(

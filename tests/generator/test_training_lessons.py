@@ -9,14 +9,15 @@ import pytest
 import torch
 
 from generator.architecture import DenoiserConfig
-from generator.choreographer import repertoire
+from generator.choreographer import GESTURES
 from generator.data.choreographed import clauses_of
 from generator.denoiser import Denoiser
 from generator.text.encoder import packaged_encoder
 from generator.text.grammar import ORDINARY
 from generator.text.manner import manner_of
+from generator.text.mentions import mentions
 from generator.training import lessons
-from generator.training.lessons import lesson, teach
+from generator.training.lessons import deeds, lesson, teach
 from generator.training.texts import TextTable
 
 torch.set_num_threads(1)
@@ -43,21 +44,41 @@ def table(monkeypatch: pytest.MonkeyPatch) -> TextTable:
 
 
 def test_a_lesson_knows_what_its_sentences_say() -> None:
-    found, names = lesson(150, 3), repertoire()
+    found, known = lesson(150, 3), deeds()
     assert found.second_leads.any()
     assert found.left.any()
     for row, text in enumerate(found.texts):
         style = manner_of(text)
         if found.second_leads[row]:
-            assert style.swap, text
-        assert found.left[row] == ("left" in text), text
+            assert style.swap or mentions(text)[0].person == "b", text
+        assert found.left[row].any() == ("left" in text), text
+        one, other = found.deed[row]
+        if one != other:
+            assert {known[one], known[other]} <= {*GESTURES}, text
+            continue
         for column, (field, ordinary) in enumerate(ORDINARY.items()):
-            said = int(found.manner[row, column])
-            away = getattr(style, field) - ordinary
-            assert [True, away < 0, away > 0][said], (text, field)
-    first = names[found.interaction[0]]
+            for said in found.manner[row, :, column]:
+                away = getattr(style, field) - ordinary
+                assert [True, away < 0, away > 0][int(said)] or known[one] in GESTURES, text
+    assert (found.deed[:, 0] != found.deed[:, 1]).mean() == pytest.approx(0.25, abs=0.06)
+    first = known[found.deed[1, 0]]
     unseen = {clause.words for clause in clauses_of(first, unseen=True)}
-    assert not any(found.texts[0].endswith(words) for words in unseen)
+    assert not any(found.texts[1].endswith(words) for words in unseen)
+
+
+def test_each_hears_first_what_they_do_themselves() -> None:
+    """Loss is least where the listener's own deed comes first: a's for a, b's for b."""
+    found = lesson(40, 3)
+    rows = np.flatnonzero(found.deed[:, 0] != found.deed[:, 1])[:1]
+    told = [torch.zeros(2, 1, 2, len(deeds())), torch.zeros(2, 1),
+            torch.zeros(2, 1, 2, found.manner.shape[2], 3), torch.zeros(2, 1, 2)]  # fmt: skip
+    unsure = float(lessons.loss(told, found, rows))
+    for person, who in enumerate(found.deed[rows[0]]):
+        told[0][person, 0, 0, who] = 9.0
+        told[0][1 - person, 0, 1, who] = 9.0
+    assert float(lessons.loss(told, found, rows)) < unsure - 2.0
+    told[0] = told[0].flip(2)
+    assert float(lessons.loss(told, found, rows)) > unsure
 
 
 def test_who_reads_learns_and_is_frozen_then(table: TextTable) -> None:
@@ -65,7 +86,9 @@ def test_who_reads_learns_and_is_frozen_then(table: TextTable) -> None:
     before = {name: p.clone() for name, p in denoiser.named_parameters()}
     teach(denoiser, table, STEPS, report=lambda step, loss: heard.append(loss))
     fresh = lessons.loss(
-        lessons.Pupil(reading(), 50, 5)(torch.from_numpy(table.vectors(lesson(40, 0).texts))),
+        lessons.Pupil(reading(), len(deeds()), 5)(
+            torch.from_numpy(table.vectors(lesson(40, 0).texts))
+        ),
         lesson(40, 0),
         np.arange(40),
     )
