@@ -24,8 +24,7 @@ from generator.motion import DuetMotion, Motion
 from generator.runtime.repertoire import read
 from generator.text import understand
 from generator.text.gestures import describe_exchange, vocabulary
-from generator.text.grammar import describe, grammar
-from generator.text.manner import manner_of
+from generator.text.grammar import ORDINARY, describe, grammar, manner_words
 from generator.text.mentions import mentions
 from robots.errors import PromptError, SpecError
 
@@ -91,13 +90,16 @@ def test_a_sentence_says_of_each_only_what_they_do(seed: int, split) -> None:
     if named:
         assert (named[0].person == "b") == styles[0].swap, sentence.text
     assert ("left" in sentence.text) <= (styles[0].handedness == "left")
-    whole = manner_of(sentence.text)
-    for said, style in zip(sentence.said, styles, strict=True):
+    for said, style, gesture in zip(sentence.said, styles, gestures, strict=True):
         for field in said:
-            low = getattr(style, field) < (0.0 if field == "lag" else 1.0)
-            others = [s for s, o in zip(styles, sentence.said, strict=True) if field in o]
-            if len(others) == 1:
-                assert (getattr(whole, field) < getattr(Style(), field)) == low, sentence.text
+            direction = "low" if getattr(style, field) < ORDINARY[field] else "high"
+            words = manner_words(field, direction)
+            if field == "amplitude":
+                words += vocabulary(gesture).amplitude[direction]
+            assert any(word in sentence.text for word in words), (sentence.text, field)
+    for field in {*ORDINARY} - {*sentence.said[0], *sentence.said[1]}:
+        words = [w for way in ("low", "high") for w in manner_words(field, way)]
+        assert not any(f" {word}" in sentence.text for word in words), (sentence.text, field)
 
 
 def test_pairs_and_wordings_that_are_held_out_are_not_trained_on() -> None:

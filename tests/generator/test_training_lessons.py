@@ -60,7 +60,9 @@ def test_a_lesson_knows_what_its_sentences_say() -> None:
             for said in found.manner[row, :, column]:
                 away = getattr(style, field) - ordinary
                 assert [True, away < 0, away > 0][int(said)] or known[one] in GESTURES, text
-    assert (found.deed[:, 0] != found.deed[:, 1]).mean() == pytest.approx(1 / lessons.EXCHANGES, abs=0.1)
+    assert (found.deed[:, 0] != found.deed[:, 1]).mean() == pytest.approx(
+        1 / lessons.EXCHANGES, abs=0.1
+    )
     first = known[found.deed[1, 0]]
     unseen = {clause.words for clause in clauses_of(first, unseen=True)}
     assert not any(found.texts[1].endswith(words) for words in unseen)
