@@ -69,8 +69,9 @@ def exchange_of(text: str, gesture: Callable[[str], Gesture | None]) -> Exchange
     if first is None or second is None or (first.name, second.name) in _SAME:
         return None
     named = mentions(text)
-    leading = replace(manner_of(halves[0]), swap=bool(named) and named[0].person == "b")
-    answering = replace(manner_of(halves[1]), handedness=leading.handedness, swap=leading.swap)
+    swap = bool(named) and named[0].person == "b"
+    hand = manner_of(text).handedness  # whichever half says so
+    leading, answering = (replace(manner_of(half), handedness=hand, swap=swap) for half in halves)
     if first.name == second.name and replace(answering, lag=leading.lag) == leading:
         return None
     confidence = min(first.confidence, second.confidence)

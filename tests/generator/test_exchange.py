@@ -181,6 +181,9 @@ def test_each_half_has_its_adverbs() -> None:
     one, other = meaning.exchange.styles
     assert one.amplitude > 1.2 > other.amplitude
     assert other.speed < 0.9 < one.speed
+    left = understand("The first person bows and the second waves with the left hand.").exchange
+    assert left is not None
+    assert [style.handedness for style in left.styles] == ["left", "left"]
     both = understand("the first person bows deeply and the second bows slightly").exchange
     assert both is not None
     assert both.gestures == ("bow", "bow")
