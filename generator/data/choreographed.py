@@ -91,18 +91,12 @@ def clauses_of(interaction: str, *, unseen: bool) -> tuple[Clause, ...]:
     return tuple(chosen)
 
 
-def drawn_style(interaction: str, split: Split, rng: np.random.Generator) -> Style:
-    """Return the manner of a performance for a split."""
-    from generator.choreographer import Style, style_ranges
+def drawn_values(remarkable: Sequence[Manner], rng: np.random.Generator) -> dict[str, float]:
+    """Return the numbers of a style that is remarkable for some things and ordinary otherwise."""
+    from generator.choreographer import style_ranges
     from generator.text.grammar import NOTABLE, ORDINARY
 
-    unseen = unseen_manner(interaction)
-    options = [manner for manner in manners() if manner != unseen]
-    count = int(rng.choice(len(REMARKABLE), p=REMARKABLE))
-    chosen = [options[i] for i in rng.permutation(len(options))[:count]]
-    if split == "combinations":
-        chosen = [unseen, *(m for m in chosen[:1] if m.field != unseen.field)]
-    directions = {manner.field: manner.direction for manner in chosen}
+    directions = {manner.field: manner.direction for manner in remarkable}
     values = {}
     for name, (low, high) in style_ranges().items():
         ordinary, notable = ORDINARY[name], NOTABLE[name]
@@ -114,6 +108,32 @@ def drawn_style(interaction: str, split: Split, rng: np.random.Generator) -> Sty
         else:
             low = ordinary + notable
         values[name] = float(rng.uniform(low, high))
+    return values
+
+
+def require_set(count: int, split: str) -> None:
+    """Check the size and the kind of a set of clips.
+
+    Raises:
+        SpecError: The count is not positive, or there is no such split.
+    """
+    if count < 1:
+        raise SpecError(f"{count} clips", where="count", allowed="1 or more")
+    if split not in SPLITS:
+        raise SpecError(f"'{split}'", where="split", allowed=", ".join(SPLITS))
+
+
+def drawn_style(interaction: str, split: Split, rng: np.random.Generator) -> Style:
+    """Return the manner of a performance for a split."""
+    from generator.choreographer import Style
+
+    unseen = unseen_manner(interaction)
+    options = [manner for manner in manners() if manner != unseen]
+    count = int(rng.choice(len(REMARKABLE), p=REMARKABLE))
+    chosen = [options[i] for i in rng.permutation(len(options))[:count]]
+    if split == "combinations":
+        chosen = [unseen, *(m for m in chosen[:1] if m.field != unseen.field)]
+    values = drawn_values(chosen, rng)
     hand = "left" if rng.random() < LEFT else "right"
     return Style(**values, handedness=hand, swap=bool(rng.random() < 0.5))
 
@@ -158,10 +178,7 @@ class Choreographed:
         """
         from generator.choreographer import lookup, repertoire
 
-        if count < 1:
-            raise SpecError(f"{count} clips", where="count", allowed="1 or more")
-        if split not in SPLITS:
-            raise SpecError(f"'{split}'", where="split", allowed=", ".join(SPLITS))
+        require_set(count, split)
         self._count, self._seed = count, seed
         self._split: Split = split
         self._names = interactions or repertoire()

@@ -18,16 +18,17 @@ from generator.data.choreographed import (
     HELD_OUT,
     LEFT,
     SPLITS,
-    SPREAD,
     TOLD,
     Split,
+    drawn_values,
     manners,
     number_of,
+    require_set,
     symmetries,
 )
 from generator.data.clip import Clip, Symmetric, clip_of
 from generator.motion import DuetMotion
-from robots.errors import MotionError, SpecError
+from robots.errors import MotionError
 
 if TYPE_CHECKING:
     from generator.choreographer import Style
@@ -65,9 +66,8 @@ def verbs_of(gesture: str, *, unseen: bool) -> tuple[Verb, ...]:
 
 def drawn_styles(rng: np.random.Generator) -> Styles:
     """Return a manner for who begins and one for the other; hand and roles are common."""
-    from generator.choreographer import Style, style_ranges
+    from generator.choreographer import Style
     from generator.text.gestures import LAG, SAID
-    from generator.text.grammar import NOTABLE, ORDINARY
 
     hand = "left" if rng.random() < LEFT else "right"
     swap = bool(rng.random() < 0.5)
@@ -75,20 +75,8 @@ def drawn_styles(rng: np.random.Generator) -> Styles:
     for place in (0, 1):
         options = [m for m in manners() if m.field in SAID or (place and m.field == LAG)]
         count = int(rng.choice(len(REMARKABLE), p=REMARKABLE))
-        chosen = {
-            m.field: m.direction
-            for m in (options[i] for i in rng.permutation(len(options))[:count])
-        }
-        values = {}
-        for name, (low, high) in style_ranges().items():
-            ordinary, notable = ORDINARY[name], NOTABLE[name]
-            if name not in chosen:
-                low, high = max(low, ordinary - SPREAD), min(high, ordinary + SPREAD)
-            elif chosen[name] == "low":
-                high = ordinary - notable
-            else:
-                low = ordinary + notable
-            values[name] = float(rng.uniform(low, high))
+        chosen = [options[i] for i in rng.permutation(len(options))[:count]]
+        values = drawn_values(chosen, rng)
         styles.append(Style(**values, handedness=hand, swap=swap))
     return styles[0], styles[1]
 
@@ -133,10 +121,7 @@ class Exchanged:
         Raises:
             SpecError: The count is not positive, or there is no such split.
         """
-        if count < 1:
-            raise SpecError(f"{count} clips", where="count", allowed="1 or more")
-        if split not in SPLITS:
-            raise SpecError(f"'{split}'", where="split", allowed=", ".join(SPLITS))
+        require_set(count, split)
         self._count, self._seed = count, seed
         self._split: Split = split
         self._pairs = pairs(split)

@@ -55,11 +55,12 @@ def test_a_lesson_knows_what_its_sentences_say() -> None:
         one, other = found.deed[row]
         if one != other:
             assert {known[one], known[other]} <= {*GESTURES}, text
+        if row % lessons.EXCHANGES == 0:
             continue
         for column, (field, ordinary) in enumerate(ORDINARY.items()):
             for said in found.manner[row, :, column]:
                 away = getattr(style, field) - ordinary
-                assert [True, away < 0, away > 0][int(said)] or known[one] in GESTURES, text
+                assert [True, away < 0, away > 0][int(said)], (text, field)
     assert (found.deed[:, 0] != found.deed[:, 1]).mean() == pytest.approx(
         1 / lessons.EXCHANGES, abs=0.1
     )
