@@ -10,6 +10,7 @@ from generator.choreographer import choreograph
 from generator.finishing import DRAWN, finish
 from generator.finishing.apart import push_apart
 from generator.finishing.calm import calm, calmed
+from generator.finishing.corrections import runs
 from generator.finishing.feet import plant_feet
 from generator.finishing.figure import Figure, turn_about
 from generator.finishing.settings import Finishing
@@ -78,17 +79,25 @@ def test_a_step_between_two_stances_is_never_a_leap_of_one_frame() -> None:
     figure.shift(move)
     labels = np.ones((60, 4), dtype=bool)
     labels[30] = False
-    plant_feet(figure, FPS, labels, Finishing())
+    stands, _ = plant_feet(figure, FPS, labels, Finishing())
+    gaps = [gap.stop - gap.start for gap in runs(~stands[:, 1])]
+    assert gaps
+    assert min(gaps) >= 8
     assert acceleration(figure.points[:, [SKELETON.index("left_foot")]]).max() < 60
 
 
 def test_a_foot_that_pivots_on_the_spot_keeps_its_heading() -> None:
-    """Held askew for the whole stance, it whipped round by 100 degrees at the end of it."""
+    """Held askew for a whole stance, it whipped round by 100 degrees on the way to the next."""
     figure = standing(90)
     about = np.outer(np.linspace(0, np.pi, 90), (0.0, 0.0, 1.0))
+    ball = figure.point("left_foot").copy()
     figure.bend("pelvis", turn_about(about))
-    labels = np.zeros((90, 4), dtype=bool)
-    labels[:60] = True
+    figure.shift(ball - figure.point("left_foot"))
+    hop = np.zeros((90, 3))
+    hop[42:48, 2] = 0.06 * np.sin(np.linspace(0, np.pi, 6))
+    figure.shift(hop)
+    labels = np.ones((90, 4), dtype=bool)
+    labels[42:48] = False
     plant_feet(figure, FPS, labels, Finishing())
     frame = figure.frame("left_ankle")
     now = np.unwrap(np.arctan2(frame[:, 1, 0], frame[:, 0, 0]))
