@@ -35,8 +35,8 @@ BATCH = 64
 POOL = 20_000
 """Sentences in all."""
 EXCHANGES = 2
-"""One sentence in so many is about an exchange of gestures. Who does what in those takes longest to
-learn: with one in four, pairs of gestures were learnt by heart."""
+"""One sentence in so many is about an exchange of gestures, for a model that is to draw them. Who
+does what in those takes longest to learn: with one in four, pairs were learnt by heart."""
 RATE, DECAY = 5e-4, 1e-2
 """Highest learning rate, and weight decay."""
 
@@ -64,8 +64,14 @@ def deeds() -> tuple[str, ...]:
     return (*repertoire(), STAND)
 
 
-def lesson(count: int, seed: int) -> Lesson:
-    """Return sentences in the wordings and manners that training knows."""
+def lesson(count: int, seed: int, *, exchanges: bool) -> Lesson:
+    """Return sentences in the wordings and manners that training knows.
+
+    Args:
+        count: So many.
+        seed: What they are drawn from.
+        exchanges: Whether one in :data:`EXCHANGES` is about an exchange of gestures.
+    """
     from generator.choreographer import repertoire
     from generator.text.grammar import ORDINARY
 
@@ -73,11 +79,13 @@ def lesson(count: int, seed: int) -> Lesson:
     texts, second = [], np.zeros(count, np.bool_)
     deed, left = np.zeros((count, 2), np.int64), np.zeros((count, 2), np.bool_)
     manner = np.zeros((count, 2, len(ORDINARY)), np.int64)
+    others = 0
     for row in range(count):
-        if row % EXCHANGES == 0:
+        if exchanges and row % EXCHANGES == 0:
             told = _of_exchange(rng)
         else:
-            told = _of_interaction(names[(row - row // EXCHANGES) % len(names)], rng)
+            told = _of_interaction(names[others % len(names)], rng)
+            others += 1
         texts.append(told.text)
         second[row] = told.styles[0].swap
         for part, style in enumerate(told.styles):
@@ -189,6 +197,7 @@ def teach(
     texts: TextTable,
     steps: int,
     *,
+    exchanges: bool,
     seed: int = 0,
     low_precision: bool = False,
     state: Path | None = None,
@@ -200,6 +209,7 @@ def teach(
         denoiser: One that reads tokens, freshly initialised or trained, whatever the state.
         texts: Vectors of sentences.
         steps: Length of the lessons.
+        exchanges: Whether they are also about people who make a gesture each.
         seed: Of sentences and of what is drawn of them.
         low_precision: Whether products are in bfloat16.
         state: Folder of what to go on from, if there is something.
@@ -210,7 +220,7 @@ def teach(
         CheckpointError: The state is damaged or of other lessons.
     """
     device = denoiser.positions.device
-    true = lesson(POOL, seed)
+    true = lesson(POOL, seed, exchanges=exchanges)
     pupil = Pupil(denoiser, len(deeds()), true.manner.shape[2]).to(device)
 
     def loss_of(step: int) -> Tensor:
@@ -220,7 +230,9 @@ def teach(
             told = pupil(cond)
         return loss([part.float().cpu() for part in told], true, rows)
 
-    identity = f"lessons/2 {steps} {seed} {low_precision} {POOL} {BATCH} {denoiser.config}"
+    identity = (
+        f"lessons/3 {steps} {exchanges} {seed} {low_precision} {POOL} {BATCH} {denoiser.config}"
+    )
     how = Fit(steps, RATE, DECAY, seed=seed)
     fit(pupil, loss_of, how, state=state, identity=identity, report=report)
     freeze_reading(denoiser)

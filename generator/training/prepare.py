@@ -224,6 +224,7 @@ def _teach(
             model.denoiser,
             texts,
             steps,
+            exchanges=any(source.kind == "exchanged" for source in run.data.source),
             seed=run.training.seed,
             low_precision=run.training.precision == "bfloat16",
             state=out / LESSONS,

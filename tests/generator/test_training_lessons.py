@@ -44,7 +44,7 @@ def table(monkeypatch: pytest.MonkeyPatch) -> TextTable:
 
 
 def test_a_lesson_knows_what_its_sentences_say() -> None:
-    found, known = lesson(150, 3), deeds()
+    found, known = lesson(150, 3, exchanges=True), deeds()
     assert found.second_leads.any()
     assert found.left.any()
     for row, text in enumerate(found.texts):
@@ -69,9 +69,15 @@ def test_a_lesson_knows_what_its_sentences_say() -> None:
     assert not any(found.texts[1].endswith(words) for words in unseen)
 
 
+def test_who_draws_no_exchanges_is_not_taught_about_them() -> None:
+    found = lesson(len(deeds()), 3, exchanges=False)
+    assert {*found.deed[:, 0]} == {*range(len(deeds()) - 1)}  # one of each, and nobody just stands
+    assert (found.deed[:, 0] == found.deed[:, 1]).all()
+
+
 def test_each_hears_first_what_they_do_themselves() -> None:
     """Loss is least where the listener's own deed comes first: a's for a, b's for b."""
-    found = lesson(40, 3)
+    found = lesson(40, 3, exchanges=True)
     rows = np.flatnonzero(found.deed[:, 0] != found.deed[:, 1])[:1]
     told = [torch.zeros(2, 1, 2, len(deeds())), torch.zeros(2, 1),
             torch.zeros(2, 1, 2, found.manner.shape[2], 3), torch.zeros(2, 1, 2)]  # fmt: skip
@@ -87,12 +93,12 @@ def test_each_hears_first_what_they_do_themselves() -> None:
 def test_who_reads_learns_and_is_frozen_then(table: TextTable) -> None:
     denoiser, heard = reading(), []
     before = {name: p.clone() for name, p in denoiser.named_parameters()}
-    teach(denoiser, table, STEPS, report=lambda step, loss: heard.append(loss))
+    teach(denoiser, table, STEPS, exchanges=True, report=lambda step, loss: heard.append(loss))
     fresh = lessons.loss(
         lessons.Pupil(reading(), len(deeds()), 5)(
-            torch.from_numpy(table.vectors(lesson(40, 0).texts))
+            torch.from_numpy(table.vectors(lesson(40, 0, exchanges=True).texts))
         ),
-        lesson(40, 0),
+        lesson(40, 0, exchanges=True),
         np.arange(40),
     )
     assert heard[-1] < 0.6 * float(fresh.detach())
@@ -106,8 +112,15 @@ def test_lessons_that_are_over_are_read_again_from_their_state(
     table: TextTable, tmp_path: Path
 ) -> None:
     one, other = reading(), reading(1)
-    teach(one, table, STEPS, state=tmp_path)
-    teach(other, table, STEPS, state=tmp_path, report=lambda *_: pytest.fail("taught again"))
+    teach(one, table, STEPS, exchanges=True, state=tmp_path)
+    teach(
+        other,
+        table,
+        STEPS,
+        exchanges=True,
+        state=tmp_path,
+        report=lambda *_: pytest.fail("taught again"),
+    )
     assert torch.equal(one.listener, other.listener)
     for a, b in zip(one.networks[0].embed_text.parameters(),
                     other.networks[0].embed_text.parameters(), strict=True):  # fmt: skip
