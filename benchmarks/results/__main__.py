@@ -18,7 +18,7 @@ from pathlib import Path
 from benchmarks.results.ablations import load_ablations, train_all
 from benchmarks.results.judges import judges
 from benchmarks.results.models import Models
-from benchmarks.results.real import CLIPS, keep_spectra
+from benchmarks.results.real import keep_real
 from benchmarks.results.rows import FILE, load_plan
 from benchmarks.results.run import Bench, Clock, OutOfTime
 from benchmarks.results.takes import Makers
@@ -39,10 +39,10 @@ def main() -> int:
     parser.add_argument("--limit", type=int, help="most clips of a split, to try things out")
     parser.add_argument("--minutes", type=float, help="stop after so much time; run again to go on")
     parser.add_argument(
-        "--train-ablations", action="store_true", help="train the models of Tables 3 and 4 instead"
+        "--train-ablations", action="store_true", help="train the small models instead"
     )
     parser.add_argument(
-        "--clips", type=Path, metavar="DIR", help="take the spectra of these real duets instead"
+        "--clips", type=Path, metavar="DIR", help="take spectra and examples of these duets instead"
     )
     parser.add_argument("--plan", type=Path, default=FILE, help="other rows and sizes")
     parser.add_argument("--out", type=Path, default=OUT, help=f"folder (default: {OUT})")
@@ -53,8 +53,8 @@ def main() -> int:
     try:
         with thread_limit(args.threads):
             if args.clips is not None:
-                count = keep_spectra(args.clips, args.out / f"{CLIPS}.npz")
-                note(f"spectra of {count} clips")
+                learnt, held = keep_real(args.clips, args.out)
+                note(f"{learnt} clips to learn from, {held} held out")
             elif args.train_ablations:
                 _train(args)
             else:
@@ -73,7 +73,7 @@ def main() -> int:
 def _train(args: argparse.Namespace) -> None:
     clock = Clock(args.minutes)
     done = train_all(load_ablations(), only=args.only, say=note, stop=lambda: clock.over)
-    note("all ablations are trained" if done else "stopped; run again to go on")
+    note("all that there are clips for are trained" if done else "stopped; run again to go on")
 
 
 def _measure(args: argparse.Namespace) -> None:

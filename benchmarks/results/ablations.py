@@ -1,4 +1,7 @@
-"""Trains the ablations of Tables 3 and 4 at a small scale, one by one, with exact resume."""
+"""Trains what is compared at a small scale, run by run, with exact resume.
+
+These are the ablations of Tables 3 and 4, and runs on other data.
+"""
 
 from __future__ import annotations
 
@@ -26,6 +29,19 @@ class Variant:
     """Of its folder."""
     changes: str = ""
     """Configuration of the paper's size that changes the same; the base changes nothing."""
+    config: str = ""
+    """Configuration at this scale that is trained instead of the base."""
+    real: float = 0.0
+    """Share of real clips among the samples."""
+
+    def __post_init__(self) -> None:
+        """Validate.
+
+        Raises:
+            SpecError: A share is none.
+        """
+        if not 0 <= self.real < 1:
+            raise SpecError(f"{self.real}", where=f"{self.name}, real", allowed="0 to less than 1")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,6 +54,8 @@ class Ablations:
     """The paper's configuration, which each variant's is compared with."""
     folder: str
     """Where the runs lie, each in a folder of its own."""
+    real: str
+    """Where the real clips lie that are learnt from (:mod:`benchmarks.results.real`)."""
     variant: tuple[Variant, ...]
     """In the order of training."""
 
@@ -47,14 +65,19 @@ class Ablations:
         Raises:
             SpecError: A file cannot be read, or its variant changes nothing.
         """
-        tables = load_config(self.base).tables()
-        tables["name"] = f"{tables['name']}-{variant.name}"
+        tables = load_config(variant.config or self.base).tables()
+        tables["name"] = variant.name if variant.config else f"{tables['name']}-{variant.name}"
         if variant.changes:
             changes = _changes(load_config(self.paper), load_config(variant.changes))
             if not any(changes.values()):
                 raise SpecError("it changes nothing", where=variant.changes)
             for name, table in changes.items():
                 tables[name] |= table
+        if variant.real:
+            invented = tables["data"]["source"]
+            weight = variant.real / (1 - variant.real) * sum(s["weight"] for s in invented)
+            real = {"kind": "duets", "root": self.real, "weight": weight}
+            tables["data"]["source"] = [*invented, real]
         return parse(tables, where=variant.name)
 
 
@@ -82,7 +105,7 @@ def train_all(
     say: Callable[[str], None] = lambda _: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> bool:
-    """Train what is not trained yet; return whether all of it is now.
+    """Train what is not trained yet; return whether all of it is now that there are clips for.
 
     Args:
         ablations: Which.
@@ -98,6 +121,12 @@ def train_all(
             continue
         run, out = ablations.run(variant), Path(ablations.folder) / variant.name
         if trained_steps(out) >= (run.training.steps or 0):
+            continue
+        lacking = [
+            f for s in run.data.source if (f := s.root or s.repaired) and not Path(f).is_dir()
+        ]
+        if lacking:
+            say(f"{variant.name}: there is no {', '.join(lacking)} yet, left out")
             continue
         if stop():
             return False

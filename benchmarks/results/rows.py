@@ -24,7 +24,7 @@ class Row:
 
     name: str
     """As the table calls it."""
-    tables: tuple[Literal["main", "table3", "table4"], ...] = ("main",)
+    tables: tuple[Literal["main", "table3", "table4", "data"], ...] = ("main",)
     """Where it stands."""
     kind: Literal["data", "choreographer", "model", "portable"]
     """The performances themselves, the choreographer that reads the sentence, a network that is

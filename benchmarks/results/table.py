@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.results.real import CLIPS
+from benchmarks.results.real import power_of
 from benchmarks.results.rows import FILE, Plan, Row, load_plan
 from benchmarks.results.run import open_results
 from benchmarks.results.spectra import BANDS, in_bands, jerk_power
@@ -26,8 +26,7 @@ from benchmarks.tracking.results import Record
 from benchmarks.tracking.run import note
 from benchmarks.tracking.table import markdown, replace_between_markers
 from generator.metrics import confidence_interval
-from robots.errors import DuetError, MotionFileError
-from robots.files import read_archive
+from robots.errors import DuetError
 
 OUT = Path("out/results")
 PAGE = Path("docs/results.md")
@@ -87,7 +86,7 @@ def main() -> int:
     args = parser.parse_args()
     try:
         records = latest(open_results(args.out).read().values())
-        for name, text in pages(load_plan(args.plan), records, clips_power(args.out)).items():
+        for name, text in pages(load_plan(args.plan), records, power_of(args.out)).items():
             replace_between_markers(args.page, name, text)
     except DuetError as error:
         note(str(error))
@@ -105,16 +104,19 @@ def latest(records: Iterable[Record]) -> list[Record]:
     return [r for r in kept if last[r["row"], r["split"]] == r["digest"]]
 
 
-def pages(plan: Plan, records: Sequence[Record], real: Any = None) -> dict[str, str]:
+def pages(
+    plan: Plan, records: Sequence[Record], real: Mapping[str, Any] | None = None
+) -> dict[str, str]:
     """Return the text for every marker of the page.
 
     Args:
         plan: Rows and their order.
         records: As :func:`latest` gives them.
-        real: Mean spectrum of real clips, if there are any.
+        real: Mean spectra of real clips by what they are for, if there are any.
     """
     rows = {
-        name: [r for r in plan.row if name in r.tables] for name in ("main", "table3", "table4")
+        name: [r for r in plan.row if name in r.tables]
+        for name in ("main", "table3", "table4", "data")
     }
     parts = {
         f"{kind}-{split}": _table(rows["main"], split, columns, records)
@@ -123,9 +125,11 @@ def pages(plan: Plan, records: Sequence[Record], real: Any = None) -> dict[str, 
     }
     parts["bodies"] = _table(rows["main"], "test", BODIES, records)
     parts["cost"] = _table([r for r in rows["main"] if r.kind != "data"], "test", COST, records)
-    for name in ("table3", "table4"):
+    for name in ("table3", "table4", "data"):
         parts[name] = _table(rows[name], "test", (*PAPER, *ASKED), records)
-    parts["spectra"] = spectra_table(rows["main"], records, real)
+    parts["data-bodies"] = _table(rows["data"], "test", BODIES, records)
+    shown = dict.fromkeys((*rows["main"], *rows["data"]))
+    parts["spectra"] = spectra_table([*shown], records, real or {})
     parts["hardest"] = hardest(rows["main"], records)
     parts["made"] = provenance(records)
     held = [row for row in rows["main"] if row.drawn and row.splits[1:]]
@@ -156,11 +160,13 @@ def cell(records: Sequence[Record], column: Column) -> str:
     return f"{text} ± {interval:.{column.digits}f}" if len(values) > 1 else text
 
 
-def spectra_table(rows: Sequence[Row], records: Sequence[Record], real: Any) -> str:
+def spectra_table(rows: Sequence[Row], records: Sequence[Record], real: Mapping[str, Any]) -> str:
     """Return velocity and jerk by frequency: a line per row, first of all real clips."""
     heads = [f"{low:g}–{high:g} Hz" for low, high in BANDS]
     lines = [["", *(f"velocity {h}" for h in heads), *(f"jerk {h}" for h in heads)]]
-    named: list[tuple[str, Any]] = [("real clips", real)]
+    named: list[tuple[str, Any]] = [
+        (f"real clips, {use}", real.get(use)) for use in ("held out", "learnt from")
+    ]
     for row in rows:
         found = [r for r in records if (r["row"], r["split"]) == (row.name, "test")]
         named.append((row.name, _mean_spectrum(found)))
@@ -230,17 +236,6 @@ def provenance(records: Sequence[Record]) -> str:
             ]
         )
     return markdown(lines) if groups else MISSING
-
-
-def clips_power(root: Path) -> Any:
-    """Return the mean spectrum of real clips that a run was given, or ``None``."""
-    path = root / f"{CLIPS}.npz"
-    if not path.is_file():
-        return None
-    try:
-        return np.nanmean(read_archive(path)[1]["spectra"], axis=0)
-    except KeyError as error:
-        raise MotionFileError("holds no spectra", where=str(path)) from error
 
 
 if __name__ == "__main__":

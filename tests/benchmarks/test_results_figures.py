@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from benchmarks.results.figures import labelled_skate, low_skate, measured, missed, overlap
-from benchmarks.results.real import keep_spectra
+from benchmarks.results.real import LEARNT, keep_real, power_of
 from benchmarks.results.spectra import (
     BANDS,
     FREQUENCIES,
@@ -18,10 +19,9 @@ from benchmarks.results.spectra import (
     velocity_power,
 )
 from generator.choreographer import choreograph
-from generator.io import write_motion
+from generator.io import read_motion, write_motion
 from generator.motion import DuetMotion
-from robots.errors import SpecError
-from robots.files import read_archive
+from robots.errors import MotionFileError, SpecError
 
 GRASP = ("right_hand", "right_hand", 0.06)
 
@@ -131,12 +131,22 @@ def test_too_short_a_motion_has_no_spectrum():
     assert np.isnan(velocity_power(np.zeros((int(SECONDS * 30), 2, 22, 3)), 30.0)).all()
 
 
-def test_real_clips_leave_their_spectra_only(shake, tmp_path):
+def test_of_real_clips_some_are_learnt_from_and_others_are_held_out(shake, tmp_path):
+    clips, root = tmp_path / "set" / "clips", tmp_path / "kept"
+    clips.mkdir(parents=True)
     with pytest.raises(SpecError):
-        keep_spectra(tmp_path, tmp_path / "out.npz")
-    write_motion(shake, tmp_path / "one.npz")
-    assert keep_spectra(tmp_path, tmp_path / "kept" / "spectra.npz") == 1
-    header, arrays = read_archive(tmp_path / "kept" / "spectra.npz")
-    assert header == {"clips": ["one"]}
-    assert set(arrays) == {"spectra"}
-    assert arrays["spectra"][0] == pytest.approx(velocity_power(shake.keypoints, shake.fps))
+        keep_real(clips, root)
+    for name in "abcd":
+        write_motion(replace(shake, text=""), clips / f"{name}.npz")
+    entries = [{"files": [f"clips/{n}.npz"], "description": "They box. (CMU)"} for n in "abc"]
+    (tmp_path / "set" / "index.json").write_text(json.dumps(entries))
+    assert keep_real(clips, root) == (2, 2)
+    learnt = sorted((root / LEARNT).iterdir())
+    assert [path.stem for path in learnt] == ["a", "b"], "every third and one without a sentence"
+    assert read_motion(learnt[0]).text == "They box."
+    power = power_of(root)
+    for use in ("held out", "learnt from"):
+        assert power[use] == pytest.approx(velocity_power(shake.keypoints, shake.fps))
+    (tmp_path / "set" / "index.json").write_text('{"a": 1}')
+    with pytest.raises(MotionFileError, match="description"):
+        keep_real(clips, root)

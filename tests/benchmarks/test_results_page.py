@@ -14,6 +14,7 @@ from benchmarks.results.measure import mean_of
 from benchmarks.results.rows import Row, load_plan
 from benchmarks.results.table import MISSING, Column, cell, pages
 from benchmarks.results.targets import target_lines
+from generator.training.config import parse
 from robots.errors import SpecError
 
 PAGE = Path(__file__).parents[2] / "docs" / "results.md"
@@ -61,7 +62,31 @@ def test_an_ablation_changes_what_it_says_and_nothing_else():
         "none": {"objective.regularisation": 0.0},
         "t03": {"objective.damping": 0.3},
         "t10": {"objective.damping": 1.0},
+    } | {
+        name: {"data.source": changed[name]["data.source"]} for name in ("real", "raw", "repaired")
     }
+
+
+def test_one_clip_in_ten_is_real() -> None:
+    ablations = load_ablations()
+    (variant,) = (v for v in ablations.variant if v.real)
+    *invented, real = ablations.run(variant).data.source
+    assert (real.kind, real.root) == ("duets", ablations.real)
+    assert {source.kind for source in invented} == {"choreographed"}
+    weights = [source.weight for source in (*invented, real)]
+    assert weights[-1] / sum(weights) == pytest.approx(0.1)
+
+
+def test_what_there_are_no_clips_for_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ablations = load_ablations()
+    tables = {"data": {"source": [{"kind": "duets", "root": "nowhere"}]}, "training": {"steps": 5}}
+    monkeypatch.setattr(type(ablations), "run", lambda self, variant: parse(tables))
+    said: list[str] = []
+    assert train_all(ablations, only=["real"], say=said.append)
+    assert said == ["real: there is no nowhere yet, left out"]
 
 
 @dataclass
