@@ -8,7 +8,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 # Processes that share the tests; a test that holds a deadline of the wall clock runs alone.
 WORKERS ?= auto
-PARALLEL := -n $(WORKERS) --maxprocesses=8 --dist=worksteal
+PARALLEL := -n $(WORKERS) --maxprocesses=8 --dist=worksteal --durations=30
 
 .PHONY: help demo test test-fast check format bench bench-track results strip clean
 
@@ -32,7 +32,7 @@ REALTIME = $$(grep -rlw realtime tests --include='test_*.py')
 test: $(VENV)/.installed-dev
 	@status=0; \
 	$(BIN)/pytest $(PARALLEL) -m "not realtime" || status=1; \
-	$(BIN)/pytest -m realtime $(REALTIME) || status=1; \
+	$(BIN)/pytest -m realtime --durations=15 $(REALTIME) || status=1; \
 	exit $$status
 
 test-fast: $(VENV)/.installed-dev
@@ -58,9 +58,10 @@ bench-track: $(VENV)/.installed-dev
 	$(BIN)/python -m benchmarks.tracking --ablation
 	$(BIN)/python -m benchmarks.tracking.table
 
-# CLIPS=DIR adds the spectra of real duets.
+# CLIPS=DIR adds real duets: their spectra, and a small model that learns from some of them.
 results: $(VENV)/.installed-dev
 	@if [ -n "$(CLIPS)" ]; then $(BIN)/python -m benchmarks.results --clips "$(CLIPS)"; fi
+	$(BIN)/pasdedeux curate configs/physics/repaired.toml --limit 400
 	$(BIN)/python -m benchmarks.results --train-ablations
 	$(BIN)/python -m benchmarks.results
 	$(BIN)/python -m benchmarks.results.table
