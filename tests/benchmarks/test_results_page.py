@@ -14,6 +14,7 @@ from benchmarks.results.measure import mean_of
 from benchmarks.results.rows import Row, load_plan
 from benchmarks.results.table import MISSING, Column, cell, pages
 from benchmarks.results.targets import target_lines
+from generator.training import lessons
 from generator.training.config import parse
 from robots.errors import SpecError
 
@@ -108,10 +109,14 @@ class Small:
         )
         model = replace(run.model, width=16, layers=1, heads=2, feedforward=16)
         training = replace(run.training, batch=2, steps=self.steps, warmup_steps=1)
-        return replace(run, data=data, model=model, training=training)
+        text = replace(run.text, lessons=2)
+        return replace(run, data=data, model=model, text=text, training=training)
 
 
-def test_ablations_stop_when_told_and_go_on_where_they_were(tmp_path: Path):
+def test_ablations_stop_when_told_and_go_on_where_they_were(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(lessons, "POOL", 40)
     small: Any = Small(str(tmp_path / "runs"), str(tmp_path / "cache"))
     asked = iter([False, False, True, True])
     assert not train_all(small, stop=lambda: next(asked))
