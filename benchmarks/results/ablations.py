@@ -38,7 +38,7 @@ class Variant:
         """Validate.
 
         Raises:
-            SpecError: A share is none.
+            SpecError: The share is out of range.
         """
         if not 0 <= self.real < 1:
             raise SpecError(f"{self.real}", where=f"{self.name}, real", allowed="0 to less than 1")

@@ -44,6 +44,8 @@ def keep_real(folder: Path, root: Path) -> tuple[int, int]:
     if not files:
         raise SpecError("there are no motion files (*.npz)", where=str(folder))
     known = _sentences(folder)
+    for earlier in (root / LEARNT).glob("*.npz"):
+        earlier.unlink()
     spectra, learnt = [], []
     for number, file in enumerate(files, 1):
         motion = read_motion(file)

@@ -131,7 +131,8 @@ def pages(
     shown = dict.fromkeys((*rows["main"], *rows["data"]))
     parts["spectra"] = spectra_table([*shown], records, real or {})
     parts["hardest"] = hardest(rows["main"], records)
-    parts["made"] = provenance(records)
+    known = {row.name for row in plan.row}
+    parts["made"] = provenance([r for r in records if r["row"] in known])
     held = [row for row in rows["main"] if row.drawn and row.splits[1:]]
     parts["targets"] = markdown(target_lines(held, records, MISSING))
     return parts

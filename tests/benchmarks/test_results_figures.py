@@ -136,6 +136,8 @@ def test_of_real_clips_some_are_learnt_from_and_others_are_held_out(shake, tmp_p
     clips.mkdir(parents=True)
     with pytest.raises(SpecError):
         keep_real(clips, root)
+    (root / LEARNT).mkdir(parents=True)
+    write_motion(shake, root / LEARNT / "of_another_folder.npz")
     for name in "abcd":
         write_motion(replace(shake, text=""), clips / f"{name}.npz")
     entries = [{"files": [f"clips/{n}.npz"], "description": "They box. (CMU)"} for n in "abc"]
