@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.results.run import open_results
-from benchmarks.results.table import ASKED, BODIES, COST, OUT, PAPER, SPLITS, cell, latest
+from benchmarks.results.run import KEPT, open_results
+from benchmarks.results.table import ASKED, BODIES, COST, PAPER, SPLITS, cell, latest
 from benchmarks.tracking.results import Record
 from benchmarks.tracking.run import note
 from robots.errors import DuetError, SpecError
@@ -27,11 +27,11 @@ def main() -> int:
     """Write the file and return the exit code."""
     parser = argparse.ArgumentParser(description="Figures of a model, for its card")
     parser.add_argument("row", help="of docs/results.md")
-    parser.add_argument("-o", "--out", type=Path, default=OUT / "card.json")
-    parser.add_argument("--results", type=Path, default=OUT)
+    parser.add_argument("-o", "--out", type=Path, default=Path("out/results/card.json"))
+    parser.add_argument("--kept", type=Path, default=KEPT, help="folder of results")
     args = parser.parse_args()
     try:
-        write_json(args.out, card(args.row, latest(open_results(args.results).read().values())))
+        write_json(args.out, card(args.row, latest(open_results(args.kept).read().values())))
     except DuetError as error:
         note(str(error))
         return error.exit_code

@@ -97,7 +97,13 @@ class Judges:
         return frozenset(n for n, hits in told.items() if hits and np.mean(hits) >= TOLD_APART)
 
 
-def judges(root: Path, settings: EvaluatorSettings, say: Say, check: Callable[[], None]) -> Judges:
+def judges(
+    root: Path,
+    settings: EvaluatorSettings,
+    say: Say,
+    check: Callable[[], None],
+    kept: Path | None = None,
+) -> Judges:
     """Return the judges, trained now unless they are there; what was begun is gone on with.
 
     Args:
@@ -105,6 +111,7 @@ def judges(root: Path, settings: EvaluatorSettings, say: Say, check: Callable[[]
         settings: How they are trained.
         say: Told how it goes.
         check: Called now and then; what it raises stops the training, which loses nothing.
+        kept: Folder of judges that are taken instead, if those of these settings are in it.
 
     Raises:
         DuetError: Clips cannot be read, or a folder is damaged.
@@ -114,7 +121,8 @@ def judges(root: Path, settings: EvaluatorSettings, say: Say, check: Callable[[]
     plan = json.dumps(
         [asdict(settings), asdict(data), asdict(SIZE), RATE, LEAST, LEAST_TURN], sort_keys=True
     )
-    folder = root / key_of(plan, *_fingerprint(data))
+    name = key_of(plan, *_fingerprint(data))
+    folder = kept / name if kept is not None and (kept / name).is_dir() else root / name
     school = _School(data, settings, folder, say, check)
     evaluator, classifier = folder / "evaluator", folder / "classifier"
     if not (evaluator / HEADER).is_file():

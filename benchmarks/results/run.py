@@ -21,6 +21,8 @@ from generator.model_folder import HEADER
 from robots.errors import DuetError
 
 RESULTS = "results.jsonl"
+KEPT = Path(__file__).with_name("kept")
+"""What docs/results.md is made of: the file of results, the judges, and spectra of real clips."""
 _SPREAD = 11
 """Told apart from repetitions in the seeds of MModality."""
 
@@ -79,6 +81,8 @@ class Bench:
     """How long it may take."""
     limit: int | None = None
     """Most clips of a split; for trying things out."""
+    kept: Path | None = None
+    """Folder of the file of results, if it is another one."""
 
     def run(self, rows: Sequence[Row]) -> int:
         """Measure what is not measured yet; return how many records that made.
@@ -90,7 +94,7 @@ class Bench:
             DuetError: Something cannot be made or written.
         """
         there = [row for row in rows if self._there(row)]
-        results = open_results(self.root)
+        results = open_results(self.kept or self.root)
         done = results.read()
         standard = self._standard()
         count = 0

@@ -1,6 +1,6 @@
 """Write the figures into docs/results.md.
 
-    python -m benchmarks.results.table [--out out/results] [--page docs/results.md]
+    python -m benchmarks.results.table [--kept benchmarks/results/kept] [--page docs/results.md]
 
 What stands between the markers of the page is replaced. A cell without a result says so.
 """
@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.results.real import power_of
 from benchmarks.results.rows import FILE, Plan, Row, load_plan
-from benchmarks.results.run import open_results
+from benchmarks.results.run import KEPT, open_results
 from benchmarks.results.spectra import BANDS, in_bands, jerk_power
 from benchmarks.results.takes import FINISHING, SAMPLING
 from benchmarks.results.targets import target_lines
@@ -28,7 +28,6 @@ from benchmarks.tracking.table import markdown, replace_between_markers
 from generator.metrics import confidence_interval
 from robots.errors import DuetError
 
-OUT = Path("out/results")
 PAGE = Path("docs/results.md")
 MISSING = "not run yet"
 
@@ -80,13 +79,13 @@ SPLITS = {
 def main() -> int:
     """Write all tables and return the exit code."""
     parser = argparse.ArgumentParser(description="Write the tables of docs/results.md")
-    parser.add_argument("--out", type=Path, default=OUT)
+    parser.add_argument("--kept", type=Path, default=KEPT, help="folder of results")
     parser.add_argument("--page", type=Path, default=PAGE)
     parser.add_argument("--plan", type=Path, default=FILE)
     args = parser.parse_args()
     try:
-        records = latest(open_results(args.out).read().values())
-        for name, text in pages(load_plan(args.plan), records, power_of(args.out)).items():
+        records = latest(open_results(args.kept).read().values())
+        for name, text in pages(load_plan(args.plan), records, power_of(args.kept)).items():
             replace_between_markers(args.page, name, text)
     except DuetError as error:
         note(str(error))

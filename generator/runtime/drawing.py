@@ -51,6 +51,8 @@ class Steering:
 
     accents: tuple[Accent, ...] = ()
     """Emphasis; see :class:`~generator.runtime.network.GuidedNetwork`."""
+    other: Floats | None = None
+    """``[B, C]``, text vectors of what person b does, if the sentence is about person a alone."""
     held: Held | None = None
     """What is known of the motion."""
     mend: Callable[[Floats], Floats] | None = None
@@ -114,7 +116,7 @@ def draw(
     def fresh(x: Floats) -> Floats:
         return rng.standard_normal(x.shape, np.float32)
 
-    guided = GuidedNetwork(model.network, cond, config, steering.accents)
+    guided = GuidedNetwork(model.network, cond, config, steering.accents, steering.other)
     start, first = steering.start, round(steering.strength * STEPS)
 
     def predict(x: Floats, step: int) -> Floats:

@@ -14,7 +14,7 @@ from generator.model_folder import shipped_folder
 from generator.motion import MAX_FRAMES, DuetMotion
 from generator.runtime.accents import accents_of, sentence
 from generator.runtime.drawing import PLAIN, Progress, Steering, draw
-from generator.runtime.network import Floats
+from generator.runtime.network import Floats, halves
 from generator.runtime.portable import Portable
 from generator.runtime.repertoire import NOTHING_READ, Reading, read
 from generator.runtime.request import MANNER, DiffusionRequest
@@ -47,21 +47,34 @@ class Studio:
     """What the sentences mean, if the model knows the repertoire alone."""
 
     def cond(self, text: str) -> Floats:
-        """Return the vector ``[1, C]`` of a sentence."""
-        return np.asarray(self.encoder.encode([sentence(self._drawn(text))]), np.float32)
+        """Return the vector ``[1, C]`` of a sentence, or of what it says of person a."""
+        return self._vector(self._drawn(text)[0])
 
     def steering(self, text: str) -> Steering:
-        """Return what energy and amplitude do to the draw of a sentence."""
-        accents = accents_of(self._drawn(text), self.request, self.encoder)
-        return Steering(accents=accents) if accents else PLAIN
+        """Return what acts on the draw: energy, amplitude, and what only person b does."""
+        drawn = self._drawn(text)
+        accents = [accents_of(said, self.request, self.encoder) for said in drawn]
+        if len(drawn) == 1:
+            return Steering(accents=accents[0]) if accents[0] else PLAIN
+        masks = halves(2 * self.model.config.features)
+        own = [
+            accent._replace(weight=accent.weight * mask)
+            for mask, of_person in zip(masks, accents, strict=True)
+            for accent in of_person
+        ]
+        return Steering(accents=tuple(own), other=self._vector(drawn[1]))
 
     @property
     def fps(self) -> float:
         """Frames per second at which the motion is played."""
         return self.model.provenance.fps * self.request.tempo
 
-    def _drawn(self, text: str) -> str:
-        return self.reading.instead.get(text, text)
+    def _vector(self, said: str) -> Floats:
+        return np.asarray(self.encoder.encode([sentence(said)]), np.float32)
+
+    def _drawn(self, text: str) -> tuple[str, ...]:
+        """Return what is drawn for a sentence: one for both people, or one for each."""
+        return self.reading.apart.get(text) or (self.reading.instead.get(text, text),)
 
 
 def generate(
@@ -157,6 +170,8 @@ def facts_of(studio: Studio) -> dict[str, Any]:
         facts["understood"] = list(studio.reading.facts)
     if studio.reading.instead:
         facts["drawn_as"] = dict(studio.reading.instead)
+    if studio.reading.apart:
+        facts["drawn_apart"] = {text: list(said) for text, said in studio.reading.apart.items()}
     return facts
 
 

@@ -73,8 +73,15 @@ class Accent(NamedTuple):
 
     cond: Floats
     """``[B, C]``, the vectors of the changed sentences."""
-    weight: float
-    """How much of the difference that it makes is added; 1: as if it stood in the sentence."""
+    weight: float | Floats
+    """How much of the difference that it makes is added; 1: as if it stood in the sentence. As
+    ``[2F]``: of each feature."""
+
+
+def halves(features: int) -> tuple[Floats, Floats]:
+    """Return two masks ``[features]``: 1 for what is of person a, and of person b, else 0."""
+    second = (np.arange(features) >= features // 2).astype(np.float32)
+    return 1 - second, second
 
 
 class GuidedNetwork:
@@ -87,7 +94,8 @@ class GuidedNetwork:
         none + g (text - none) + g sum_i w_i (accent_i - text),
 
     the composition of conditions of Liu et al. 2022 (Compositional Visual Generation with
-    Composable Diffusion Models).
+    Composable Diffusion Models). If the other person is asked for something else, *text* is a
+    prediction of which one half was made with the one text, and one with the other.
     """
 
     def __init__(
@@ -96,6 +104,7 @@ class GuidedNetwork:
         cond: Floats,
         config: SamplerConfig,
         accents: Sequence[Accent] = (),
+        other: Floats | None = None,
     ) -> None:
         """Prepare.
 
@@ -104,23 +113,33 @@ class GuidedNetwork:
             cond: ``[B, C]``, one text vector per motion.
             config: Guidance and its interval.
             accents: What is emphasised.
+            other: ``[B, C]``, what person b is asked for, if it is something else.
         """
-        self._network, self._config, self._cond = network, config, cond
-        guidance = config.guidance
-        branches = [(cond, guidance * (1 - sum(accent.weight for accent in accents)))]
-        branches += [(accent.cond, guidance * accent.weight) for accent in accents]
-        branches += [(np.zeros_like(cond), 1 - guidance)]
-        self._branches = [(vectors, weight) for vectors, weight in branches if weight]
-        self._stacked = np.concatenate([vectors for vectors, _ in self._branches])
+        self._network, self._config = network, config
+        self._cond, self._other, self._accents = cond, other, tuple(accents)
 
     def __call__(self, x: Floats, step: int) -> Floats:
         """Return the predicted clean motion ``[B, T, 2F]``."""
         low, high = self._config.guidance_interval
-        count = len(self._branches)
-        if not low <= step <= high:
-            return self._network(x, np.full(len(x), step), self._cond)
-        t = np.full(count * len(x), step)
-        predicted = self._network(np.concatenate([x] * count), t, self._stacked)
+        branches = self._asked(x.shape[-1])
+        if low <= step <= high:
+            guidance, taken = self._config.guidance, sum(a.weight for a in self._accents)
+            branches = [(cond, guidance * (1 - taken) * weight) for cond, weight in branches]
+            branches += [(a.cond, guidance * a.weight) for a in self._accents]
+            branches += [(np.zeros_like(self._cond), 1 - guidance)]
+        branches = [branch for branch in branches if np.any(branch[1])]
+        count = len(branches)
+        stacked = np.concatenate([cond for cond, _ in branches])
+        predicted = self._network(
+            np.concatenate([x] * count), np.full(count * len(x), step), stacked
+        )
         parts = np.split(predicted, count)
-        guided = sum(weight * part for (_, weight), part in zip(self._branches, parts, strict=True))
+        guided = sum(weight * part for (_, weight), part in zip(branches, parts, strict=True))
         return np.asarray(guided, np.float32)
+
+    def _asked(self, features: int) -> list[tuple[Floats, float | Floats]]:
+        """Return the texts, each with how much of its prediction is taken."""
+        if self._other is None:
+            return [(self._cond, 1.0)]
+        first, second = halves(features)
+        return [(self._cond, first), (self._other, second)]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 
@@ -16,7 +16,16 @@ import numpy as np
 
 from generator.choreographer.exchange import GESTURES, STAND
 from generator.choreographer.style import Style
-from generator.text.grammar import NOTABLE, ORDINARY, choices, manner_words, people
+from generator.text.grammar import (
+    NOTABLE,
+    ORDINARY,
+    Clause,
+    Voice,
+    choices,
+    describe,
+    manner_words,
+    people,
+)
 from robots.errors import PromptError, nearest
 
 SAID = ("speed", "energy", "amplitude")
@@ -96,6 +105,34 @@ def spoken(gesture: str) -> list[str]:
     words = [verb.words.replace("{other}", "the other") for verb in vocabulary(gesture).verbs]
     words += [f"{w} back" for w in words if " " not in w and gesture != STAND]
     return [*words, *_data()["verbs"][gesture].get("also", ())]
+
+
+def duet_with(gesture: str, style: Style) -> str:
+    """Return a sentence about an interaction of the repertoire in which somebody makes a gesture.
+
+    Args:
+        gesture: One of :data:`~generator.choreographer.GESTURES`.
+        style: Manner of the gesture; ``swap`` says that it is person b who makes it.
+
+    Raises:
+        PromptError: There is no such gesture.
+    """
+    interaction, voice, words = duet_wording(gesture)
+    manner = Style() if gesture == STAND else replace(style, lag=0.0)
+    told = replace(manner, swap=style.swap and voice != "together")
+    clause, rng = Clause(words, voice), np.random.default_rng(0)
+    return describe(interaction, told, rng, clauses=(clause,), explicit=True).text
+
+
+def duet_wording(gesture: str) -> tuple[str, Voice, str]:
+    """Return the interaction that :func:`duet_with` speaks of, the voice and the words.
+
+    Raises:
+        PromptError: There is no such gesture.
+    """
+    vocabulary(gesture)
+    interaction, voice, words = _data()["verbs"][gesture]["duet"]
+    return interaction, voice, words
 
 
 def no_gestures() -> list[str]:

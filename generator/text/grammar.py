@@ -141,6 +141,7 @@ def describe(
     rng: np.random.Generator,
     *,
     clauses: tuple[Clause, ...] | None = None,
+    explicit: bool = False,
 ) -> Sentence:
     """Return a sentence about a performance.
 
@@ -151,6 +152,7 @@ def describe(
         style: Manner of the performance.
         rng: Source of chance: the same state gives the same sentence.
         clauses: Wordings to choose from; all of the interaction by default.
+        explicit: Say who leads where it is person a, too.
 
     Raises:
         PromptError: The grammar does not know the interaction, or is left no clause to say it with.
@@ -161,7 +163,7 @@ def describe(
         raise PromptError(f"no clause says who leads '{interaction}'", allowed="active, passive")
     voice = _pick(list(dict.fromkeys(c.voice for c in able)), rng)
     clause = _pick([c for c in able if c.voice == voice], rng)
-    text = _named(clause, style, rng)
+    text = _named(clause, style, rng, explicit=explicit)
     if entry.handed and style.handedness == "left":
         text += " " + _pick(people()["hand"]["together" if voice == "together" else "single"], rng)
     words = _manner(style, rng, apart=isinstance(lookup(interaction).spacing, Apart))
@@ -181,12 +183,12 @@ def _joined(words: list[str]) -> str:
     return " ".join([" and ".join(adverbs), *phrases]).strip()
 
 
-def _named(clause: Clause, style: Style, rng: np.random.Generator) -> str:
+def _named(clause: Clause, style: Style, rng: np.random.Generator, *, explicit: bool) -> str:
     """Return a clause with names in it."""
     called = people()
     if clause.voice == "together":
         return f"{_pick(called['together'], rng)} {clause.words}"
-    explicit = style.swap or rng.random() < 0.5
+    explicit = explicit or style.swap or rng.random() < 0.5
     first, second = _pick(called["explicit" if explicit else "implicit"], rng)
     if style.swap:
         first, second = second, first

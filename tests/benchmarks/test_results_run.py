@@ -142,6 +142,13 @@ def test_nothing_is_measured_twice_and_more_repetitions_go_on(out: Path):
     assert len(open_results(out).read()) == 9
 
 
+def test_results_are_found_where_they_are_kept(out: Path, tmp_path: Path):
+    kept = tmp_path / "kept"
+    assert bench(out, plan_of(DATA), kept=kept).run((DATA,)) == 6
+    assert bench(tmp_path / "another", plan_of(DATA), kept=kept).run((DATA,)) == 0
+    assert len(open_results(kept).read()) == 6
+
+
 def test_other_judges_measure_anew(out: Path):
     plan = plan_of(replace(DATA, splits=("test",)), repetitions=1)
     assert bench(out, plan).run(plan.row) == 1
@@ -370,6 +377,9 @@ def test_judges_are_trained_once_and_a_stop_loses_nothing(
     again = judging.judges(tmp_path / "judges", settings, said.append, Clock(minutes=-1.0).check)
     assert not said
     assert again.hash == made.hash
+    never, kept = Clock(minutes=-1.0).check, tmp_path / "judges"
+    assert judging.judges(tmp_path / "new", settings, said.append, never, kept).hash == made.hash
+    assert not (tmp_path / "new").exists(), "judges that are kept are not trained again"
     clips = [np.random.default_rng(i).standard_normal((20, 524), np.float32) for i in range(3)]
     assert np.array_equal(again.watch(clips), made.watch(clips))
     assert np.array_equal(made.read(["they hug", "they hug"])[0], again.read(["they hug"])[0])

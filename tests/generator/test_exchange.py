@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bridge.generating import make
 from generator.choreographer import (
     GESTURES,
     STAND,
@@ -17,14 +18,14 @@ from generator.choreographer import (
     random_bodies,
 )
 from generator.data import Exchanged
-from generator.data.choreographed import TOLD, symmetries
+from generator.data.choreographed import TOLD, clauses_of, symmetries
 from generator.data.exchanged import drawn_styles, pairs, told, verbs_of
 from generator.finishing.meant import meetings_of
 from generator.motion import DuetMotion, Motion
 from generator.runtime.repertoire import read
 from generator.text import understand
-from generator.text.gestures import describe_exchange, vocabulary
-from generator.text.grammar import ORDINARY, describe, grammar, manner_words
+from generator.text.gestures import describe_exchange, duet_with, duet_wording, vocabulary
+from generator.text.grammar import ORDINARY, Clause, describe, grammar, manner_words
 from generator.text.mentions import mentions
 from robots.errors import PromptError, SpecError
 
@@ -223,3 +224,56 @@ def test_the_choreographer_and_the_model_s_reader_take_both_halves() -> None:
     fast, _ = generate(text, seed=3, style={"speed": 1.4})
     assert isinstance(fast, DuetMotion)
     assert fast.frames < duet.frames
+
+
+@pytest.mark.parametrize("name", GESTURES)
+@pytest.mark.parametrize("swap", [False, True])
+def test_a_model_is_asked_for_a_gesture_in_words_that_it_has_learnt(name: str, swap: bool) -> None:
+    text = duet_with(name, Style(amplitude=1.4, swap=swap))
+    meaning = understand(text)
+    assert meaning.exchange is None
+    assert meaning.interaction == ("whisper" if name == STAND else name)
+    if name == STAND:  # who stands is whispered to
+        assert meaning.style.swap != swap
+    elif name != "disco":  # both dance
+        assert meaning.style.swap == swap
+        assert meaning.style.amplitude > 1
+    interaction, voice, words = duet_wording(name)
+    if name == STAND:
+        words = words.format(first="{second}", second="{first}")
+    assert Clause(words, voice) in clauses_of(interaction, unseen=False)
+
+
+@pytest.mark.parametrize(
+    ("text", "of_a", "of_b"),
+    [
+        ("the first person bows deeply and the other waves back slowly", "bow", "wave"),
+        ("the second bows, and the first waves", "wave", "bow"),
+        ("person B salutes while person A just watches", STAND, "salute"),
+    ],
+)
+def test_each_is_asked_for_a_duet_in_which_they_do_their_part(
+    text: str, of_a: str, of_b: str
+) -> None:
+    reading = read((text, "two people hug"), nearest=False)
+    assert list(reading.apart) == [text]
+    for said, gesture, second in zip(reading.apart[text], (of_a, of_b), (False, True), strict=True):
+        meaning = understand(said)
+        stands = gesture == STAND
+        assert meaning.interaction == ("whisper" if stands else gesture)
+        assert meaning.style.swap == (second != stands)
+    if "deeply" in text:
+        assert understand(reading.apart[text][0]).style.amplitude > 1
+        assert understand(reading.apart[text][1]).style.speed < 1
+
+
+def test_the_shipped_model_lets_one_bow_and_the_other_wave() -> None:
+    """It used to let both wave: it has seen no duet in which each has a gesture of their own."""
+    text = "the first person bows deeply and the other waves back slowly"
+    for said, bows, waves in ((text, "a", "b"), (text.replace("first", "second"), "b", "a")):
+        duet, facts = make(said, generator="diffusion", seed=1)
+        assert facts["understood"][0]["interaction"] == "bow+wave"
+        assert list(facts["drawn_apart"]) == [said]
+        people = {"a": duet.a, "b": duet.b}
+        assert lowest_head(people[bows]) < 0.9 < lowest_head(people[waves])
+        assert highest_hand(people[bows]) < 0.0 < highest_hand(people[waves])

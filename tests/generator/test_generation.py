@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ from generator.runtime import (
 )
 from generator.runtime.accents import accents_of
 from generator.runtime.group import ROOM, nearest_strangers
-from generator.runtime.network import Accent, GuidedNetwork
+from generator.runtime.network import Accent, GuidedNetwork, halves
 from generator.runtime.takes import features_at, stretched
 from robots.errors import SpecError
 
@@ -210,6 +211,24 @@ def test_branches_of_guidance_are_weighed_as_they_should(model) -> None:
     expected = outcomes[0] + 3 * (outcomes[1] - outcomes[0]) + 1.5 * (outcomes[2] - outcomes[1])
     np.testing.assert_allclose(guided(x, 500), expected, atol=1e-5)
     np.testing.assert_allclose(guided(x, 950), one(x, np.array([950]), text), atol=1e-6)
+
+
+def test_each_person_is_drawn_for_a_text_of_their_own(model) -> None:
+    config = replace(model.sampling.sampler(), guidance=3.0, guidance_interval=(100, 900))
+    x = np.random.default_rng(0).standard_normal((1, 5, 524)).astype(np.float32)
+    text, other = np.full((1, WORDS), 0.1, np.float32), np.full((1, WORDS), 0.3, np.float32)
+    first, second = halves(524)
+    accents = (Accent(other, 0.2 * first), Accent(text, 0.2 * second))
+    one: Any = SmoothMotions()
+    for step in (500, 950):
+        for more in ((), accents):
+            found = GuidedNetwork(one, text, config, more, other)(x, step)
+            louder = [(Accent(cond, 0.2),) if more else () for cond in (other, text)]
+            of_a = GuidedNetwork(one, text, config, louder[0])
+            of_b = GuidedNetwork(one, other, config, louder[1])
+            np.testing.assert_allclose(found[..., :262], of_a(x, step)[..., :262], atol=1e-5)
+            np.testing.assert_allclose(found[..., 262:], of_b(x, step)[..., 262:], atol=1e-5)
+            assert np.abs(of_a(x, step) - of_b(x, step)).max() > 0.01
 
 
 def apart(one: DuetMotion, other: DuetMotion) -> float:
