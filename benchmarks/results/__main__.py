@@ -4,10 +4,10 @@
     python -m benchmarks.results --train-ablations [--minutes 600]
     python -m benchmarks.results.table
 
-Clips, motions and models are in out/results. What the page is made of is in
-benchmarks/results/kept: one line of JSON per row, split and repetition, the spectra of real clips,
-and the judges that made them. What is there already is not done again, so a run may be stopped in
-any way and started again. A model that is trained further is measured anew.
+Clips, motions and models are in out/results. What the page is made of, one line of JSON per row,
+split and repetition, and the judges, is in benchmarks/results/kept; what --limit or --plan measures
+goes to out/results. What is there already is not done again, so a run may be stopped in any way and
+started again. A model that is trained further is measured anew.
 """
 
 from __future__ import annotations
@@ -47,9 +47,7 @@ def main() -> int:
     )
     parser.add_argument("--plan", type=Path, default=FILE, help="other rows and sizes")
     parser.add_argument("--out", type=Path, default=OUT, help=f"folder (default: {OUT})")
-    parser.add_argument(
-        "--kept", type=Path, default=KEPT, help="folder of what the page is made of"
-    )
+    parser.add_argument("--kept", type=Path, metavar="DIR", help="folder of the lines and judges")
     parser.add_argument("--threads", type=int, default=1, help="threads (default: 1)")
     args = parser.parse_args()
     if args.limit is not None and args.limit < 2:
@@ -57,7 +55,7 @@ def main() -> int:
     try:
         with thread_limit(args.threads):
             if args.clips is not None:
-                learnt, held = keep_real(args.clips, args.out, args.kept)
+                learnt, held = keep_real(args.clips, args.out)
                 note(f"{learnt} clips to learn from, {held} held out")
             elif args.train_ablations:
                 _train(args)
@@ -84,10 +82,12 @@ def _measure(args: argparse.Namespace) -> None:
     plan = load_plan(args.plan)
     rows = plan.chosen(args.only)
     clock = Clock(args.minutes)
-    kept = args.kept / "judges"
-    who = judges(args.out / "judges", plan.evaluator, note, clock.check, kept)
+    whole = args.limit is None and args.plan == FILE
+    kept = args.kept or (KEPT if whole else args.out)
+    known = (args.kept or KEPT) / "judges"
+    who = judges(args.out / "judges", plan.evaluator, note, clock.check, known)
     makers = Makers(args.out / "takes", plan.protocol, Models(plan.protocol.fps))
-    Bench(plan, args.out, who, makers, clock, args.limit, args.kept).run(rows)
+    Bench(plan, args.out, who, makers, clock, args.limit, kept).run(rows)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from robots.errors import MotionFileError, SpecError
 from robots.files import read_archive, write_archive
 
 SPECTRA, LEARNT = "clips-spectra.npz", "real"
-"""File among what is kept, and folder of motions."""
+"""File and folder in the folder of results."""
 HELD_OUT = 3
 """One clip in so many is held out from training; so is each without a sentence."""
 INDEX = "index.json"
@@ -26,13 +26,12 @@ FPS = 30.0
 """Rate that all clips are brought to."""
 
 
-def keep_real(folder: Path, root: Path, kept: Path) -> tuple[int, int]:
+def keep_real(folder: Path, root: Path) -> tuple[int, int]:
     """Write the spectra of all duets in a folder, and motions with sentences to learn from.
 
     Args:
         folder: Of motion files, ordered by name.
-        root: Folder that gets the motions.
-        kept: Folder that gets the spectra.
+        root: Folder of results.
 
     Returns:
         How many are learnt from, and how many are held out.
@@ -57,18 +56,17 @@ def keep_real(folder: Path, root: Path, kept: Path) -> tuple[int, int]:
             (root / LEARNT).mkdir(parents=True, exist_ok=True)
             write_motion(replace(motion, text=text), root / LEARNT / file.name)
     facts = {"clips": [file.stem for file in files], "learnt": learnt}
-    kept.mkdir(parents=True, exist_ok=True)
-    write_archive(kept / SPECTRA, facts, {"spectra": np.array(spectra)})
+    write_archive(root / SPECTRA, facts, {"spectra": np.array(spectra)})
     return sum(learnt), len(learnt) - sum(learnt)
 
 
-def power_of(kept: Path) -> dict[str, Any]:
+def power_of(root: Path) -> dict[str, Any]:
     """Return mean spectra of the clips that are held out and of those that are learnt from.
 
     Raises:
         MotionFileError: The file is damaged.
     """
-    path = kept / SPECTRA
+    path = root / SPECTRA
     if not path.is_file():
         return {}
     try:

@@ -22,7 +22,7 @@ from robots.errors import DuetError
 
 RESULTS = "results.jsonl"
 KEPT = Path(__file__).with_name("kept")
-"""What docs/results.md is made of: the file of results, the judges, and spectra of real clips."""
+"""What docs/results.md is made of: the file of results, and the judges."""
 _SPREAD = 11
 """Told apart from repetitions in the seeds of MModality."""
 

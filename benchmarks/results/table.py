@@ -28,6 +28,7 @@ from benchmarks.tracking.table import markdown, replace_between_markers
 from generator.metrics import confidence_interval
 from robots.errors import DuetError
 
+OUT = Path("out/results")
 PAGE = Path("docs/results.md")
 MISSING = "not run yet"
 
@@ -80,12 +81,13 @@ def main() -> int:
     """Write all tables and return the exit code."""
     parser = argparse.ArgumentParser(description="Write the tables of docs/results.md")
     parser.add_argument("--kept", type=Path, default=KEPT, help="folder of results")
+    parser.add_argument("--out", type=Path, default=OUT, help="folder of spectra of real clips")
     parser.add_argument("--page", type=Path, default=PAGE)
     parser.add_argument("--plan", type=Path, default=FILE)
     args = parser.parse_args()
     try:
         records = latest(open_results(args.kept).read().values())
-        for name, text in pages(load_plan(args.plan), records, power_of(args.kept)).items():
+        for name, text in pages(load_plan(args.plan), records, power_of(args.out)).items():
             replace_between_markers(args.page, name, text)
     except DuetError as error:
         note(str(error))

@@ -132,23 +132,23 @@ def test_too_short_a_motion_has_no_spectrum():
 
 
 def test_of_real_clips_some_are_learnt_from_and_others_are_held_out(shake, tmp_path):
-    clips, root, kept = tmp_path / "set" / "clips", tmp_path / "out", tmp_path / "kept"
+    clips, root = tmp_path / "set" / "clips", tmp_path / "kept"
     clips.mkdir(parents=True)
     with pytest.raises(SpecError):
-        keep_real(clips, root, kept)
+        keep_real(clips, root)
     (root / LEARNT).mkdir(parents=True)
     write_motion(shake, root / LEARNT / "of_another_folder.npz")
     for name in "abcd":
         write_motion(replace(shake, text=""), clips / f"{name}.npz")
     entries = [{"files": [f"clips/{n}.npz"], "description": "They box. (CMU)"} for n in "abc"]
     (tmp_path / "set" / "index.json").write_text(json.dumps(entries))
-    assert keep_real(clips, root, kept) == (2, 2)
+    assert keep_real(clips, root) == (2, 2)
     learnt = sorted((root / LEARNT).iterdir())
     assert [path.stem for path in learnt] == ["a", "b"], "every third and one without a sentence"
     assert read_motion(learnt[0]).text == "They box."
-    power = power_of(kept)
+    power = power_of(root)
     for use in ("held out", "learnt from"):
         assert power[use] == pytest.approx(velocity_power(shake.keypoints, shake.fps))
     (tmp_path / "set" / "index.json").write_text('{"a": 1}')
     with pytest.raises(MotionFileError, match="description"):
-        keep_real(clips, root, kept)
+        keep_real(clips, root)
