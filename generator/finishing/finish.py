@@ -10,6 +10,7 @@ import numpy as np
 
 from generator.finishing.apart import push_apart
 from generator.finishing.approach import step_nearer
+from generator.finishing.bends import unbend
 from generator.finishing.bones import fit_bones
 from generator.finishing.calm import calm, calmed
 from generator.finishing.denoise import denoise
@@ -51,6 +52,8 @@ class Changes:
     """Mean distance by which jitter was taken out, m."""
     bones: float
     """Largest deviation of a bone from its length before, as a share."""
+    unbent: float
+    """How far a joint was turned back into the range that joints have, degrees."""
     raised: float
     """How far a person was moved up or down, m."""
     followed: float
@@ -101,9 +104,10 @@ def finish_with_changes(
 ) -> tuple[DuetMotion, Changes]:
     """Return the motion as two bodies could have moved it, and what was changed.
 
-    Jitter is taken out, bones get constant lengths, the frame rate is made ``fps``, people who are
-    too far apart for what they are meant to touch are moved nearer, people who overlap apart,
-    standing feet are held on the floor, touches are closed.
+    Jitter is taken out, bones get constant lengths, the frame rate is made ``fps``, joints are
+    turned back that are bent further than joints go, people who are too far apart for what they are
+    meant to touch are moved nearer, people who overlap apart, standing feet are held on the floor,
+    touches are closed.
 
     Args:
         motion: Two people, with or without rotations, labels of foot contacts and touches.
@@ -121,10 +125,11 @@ def finish_with_changes(
     settings = settings or Finishing()
     if not 1 <= fps <= 1000:
         raise MotionError(f"{fps} frames per second", allowed="1 to 1000")
-    before, figures, smoothed = [], [], []
+    before, figures, smoothed, unbent = [], [], [], []
     for i, person in enumerate(motion.people):
         figure, change = _body(person, fps, settings, skeletons[i] if skeletons else None)
         figures.append(figure)
+        unbent.append(unbend(figure))
         before.append(resample(person.keypoints, motion.fps, fps))
         smoothed.append(change)
     pair = figures[0], figures[1]
@@ -153,6 +158,7 @@ def finish_with_changes(
     changes = Changes(
         moved=float(np.mean(moved)),
         smoothed=float(np.mean(smoothed)),
+        unbent=max(unbent),
         bones=max(_breathing(motion.a, a.skeleton), _breathing(motion.b, b.skeleton)),
         **{key: max(f.get(key, 0.0) for f in feet) for key in ("raised", "followed", "sunk")},
         planted=max(f.get("planted", 0.0) for f in feet),

@@ -2,51 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import MappingProxyType
-
 import numpy as np
 from numpy.typing import NDArray
 
+from robots.ranges import RANGES, bones_at
 from robots.skeleton import FloatArray, Skeleton
-
-RANGES: Mapping[str, tuple[str, float]] = MappingProxyType(
-    {
-        "spine1": ("spine2", 100.0),
-        "spine2": ("spine3", 100.0),
-        "spine3": ("neck", 100.0),
-        "neck": ("head", 100.0),
-        "left_elbow": ("left_wrist", 165.0),
-        "right_elbow": ("right_wrist", 165.0),
-        "left_knee": ("left_ankle", 165.0),
-        "right_knee": ("right_ankle", 165.0),
-    }
-)
-"""Largest angle, degrees, between the bone that ends at a keypoint and the one on to the next.
-
-People bend their whole lumbar spine by about 60 degrees and fold knees and elbows to 150 (American
-Academy of Orthopaedic Surgeons, "Joint Motion: Method of Measuring and Recording", 1965). Keypoints
-do not lie in the joints: in captured people who bow deep, spine1 and spine2 reach 70 degrees each.
-"""
 
 
 def bend_excess(keypoints: NDArray, skeleton: Skeleton) -> FloatArray:
-    """Return by how much the joint of :data:`RANGES` that is bent worst is beyond, degrees.
+    """Return by how much the joint that is bent worst is beyond its range, degrees.
 
     Args:
         keypoints: ``[..., J, 3]`` m.
         skeleton: Names and parents of the keypoints.
 
     Returns:
-        ``[...]``, 0 where all are within.
+        ``[...]``, 0 where all are within :data:`robots.ranges.RANGES`.
     """
     excess = np.zeros(keypoints.shape[:-2])
-    for name, (following, most) in RANGES.items():
-        j, child = skeleton.index(name), skeleton.index(following)
-        before = keypoints[..., j, :] - keypoints[..., skeleton.parents[j], :]
-        after = keypoints[..., child, :] - keypoints[..., j, :]
-        lengths = np.linalg.norm(before, axis=-1) * np.linalg.norm(after, axis=-1)
-        cosine = (before * after).sum(axis=-1) / np.maximum(lengths, 1e-9)
-        angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    for name, (_, most) in RANGES.items():
+        *_, angle = bones_at(keypoints, skeleton, name)
         excess = np.maximum(excess, angle - most)
     return excess

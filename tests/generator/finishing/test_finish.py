@@ -10,9 +10,11 @@ import pytest
 from benchmarks.finish import figures
 from benchmarks.spoiling import Spoiling, spoil
 from generator.finishing import Finishing, finish, finish_with_changes
+from generator.finishing.figure import Figure, turn_about
 from generator.kinematics import forward_kinematics
 from generator.motion import CONTACT_POINTS, DuetMotion
 from robots.errors import MotionError, SpecError
+from robots.ranges import bones_at
 
 
 def bare(motion: DuetMotion) -> DuetMotion:
@@ -144,6 +146,28 @@ def test_touches_that_miss_by_too_much_are_left(handshake: DuetMotion) -> None:
 def test_the_same_input_gives_the_same_output(case) -> None:
     again = finish(case.spoilt)
     np.testing.assert_array_equal(again.keypoints, case.made.keypoints)
+
+
+def test_a_back_that_is_bent_further_than_backs_go_is_turned_back(handshake: DuetMotion) -> None:
+    """A network that was to bow deeply bent it by 130 degrees; the gate refused that."""
+    off = Finishing(smoothing=0, feet=False, hands=False, apart=False, jolt=1e4)
+    whole, changes = finish_with_changes(handshake, settings=off)
+    assert changes.unbent == 0
+    person = whole.a
+    assert person.rotations is not None
+    figure = Figure(person.skeleton, person.keypoints[:, 0], person.rotations)
+    bow = np.radians(130) * np.hanning(len(figure))
+    left = person.point("left_hip")[0] - person.point("right_hip")[0]
+    figure.bend("spine2", turn_about(bow[:, None] * left / np.linalg.norm(left)))
+    spoilt = replace(whole, a=figure.motion(person.fps, person.foot_contacts))
+    made, changes = finish_with_changes(spoilt, settings=off)
+    bent, straight = (bones_at(m.a.keypoints, m.a.skeleton, "spine2")[2] for m in (spoilt, made))
+    assert bent.max() > 115
+    assert straight.max() == pytest.approx(100, abs=0.5)
+    assert changes.unbent == pytest.approx(bent.max() - 100, abs=0.5)
+    fine = bent < 99
+    np.testing.assert_allclose(made.a.keypoints[fine], spoilt.a.keypoints[fine], atol=2e-3)
+    np.testing.assert_allclose(made.a.point("pelvis"), spoilt.a.point("pelvis"), atol=2e-3)
 
 
 def test_stages_can_be_left_out(handshake: DuetMotion) -> None:
