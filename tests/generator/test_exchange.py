@@ -22,6 +22,9 @@ from generator.data.choreographed import TOLD, clauses_of, symmetries
 from generator.data.exchanged import drawn_styles, pairs, told, verbs_of
 from generator.finishing.meant import meetings_of
 from generator.motion import DuetMotion, Motion
+from generator.runtime import DiffusionRequest
+from generator.runtime.generation import open_studio
+from generator.runtime.network import halves
 from generator.runtime.repertoire import read
 from generator.text import understand
 from generator.text.gestures import describe_exchange, duet_with, duet_wording, vocabulary
@@ -277,3 +280,17 @@ def test_the_shipped_model_lets_one_bow_and_the_other_wave() -> None:
         people = {"a": duet.a, "b": duet.b}
         assert lowest_head(people[bows]) < 0.9 < lowest_head(people[waves])
         assert highest_hand(people[bows]) < 0.0 < highest_hand(people[waves])
+
+
+def test_energy_and_amplitude_are_added_to_what_each_of_the_two_does() -> None:
+    text = "the first person bows and the other waves"
+    studio = open_studio((text,), DiffusionRequest(energy=1.35))
+    steering = studio.steering(text)
+    assert steering.other is not None
+    assert not np.allclose(steering.other, studio.cond(text))
+    first, second = halves(524)
+    for accent, mask in zip(steering.accents, (first, second), strict=True):
+        np.testing.assert_allclose(accent.weight, mask)
+    calm = open_studio((text,), DiffusionRequest()).steering(text)
+    assert not calm.accents
+    np.testing.assert_array_equal(calm.other, steering.other)
