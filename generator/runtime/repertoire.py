@@ -72,7 +72,8 @@ def _each(exchange: Exchange) -> tuple[str, str]:
     both = list(zip(exchange.gestures, exchange.styles, strict=True))
     if exchange.styles[0].swap:
         both.reverse()
-    (one, of_one), (other, of_other) = both
-    return duet_with(one, replace(of_one, swap=False)), duet_with(
-        other, replace(of_other, swap=True)
+    of_a, of_b = (
+        duet_with(gesture, replace(style, swap=bool(place)))
+        for place, (gesture, style) in enumerate(both)
     )
+    return of_a, of_b
