@@ -148,7 +148,8 @@ def test_people_who_are_told_apart_are_told_nothing_before_they_learn(share_weig
     missing = told.load_state_dict(plain.state_dict(), strict=False).missing_keys
     assert missing == ["person", "listener"]
     x, t, cond = torch.randn(2, 11, 12), torch.tensor([5, 900]), torch.randn(2, 5)
-    assert torch.equal(told(x, t, cond), plain(x, t, cond))
+    # Not to the last bit: some processors multiply one person and two in another order.
+    torch.testing.assert_close(told(x, t, cond), plain(x, t, cond), rtol=1e-5, atol=1e-5)
     for vectors in (told.person, told.listener):
         vectors.normal_()
         exchanged = told(x.roll(6, dims=-1), t, cond)
