@@ -120,7 +120,7 @@ def train_all(
         if only is not None and variant.name not in only:
             continue
         run, out = ablations.run(variant), Path(ablations.folder) / variant.name
-        if trained_steps(out) >= (run.training.steps or 0):
+        if trained_steps(out) >= run.total_steps(steps_per_epoch=1):
             continue
         lacking = [
             f for s in run.data.source if (f := s.root or s.repaired) and not Path(f).is_dir()

@@ -187,9 +187,12 @@ class TrainingConfig:
     batch: int = 64
     """Clips per step, over all processes."""
     epochs: float = 2000.0
-    """Length of the run."""
+    """Length of a cycle: a fall of the learning rate from its highest to zero."""
     steps: int | None = None
-    """Length of the run in steps, instead of ``epochs``."""
+    """Length of a cycle in steps, instead of ``epochs``."""
+    cycles: int = 1
+    """Cycles of the run (warm restarts, https://arxiv.org/abs/1608.03983). More may be added
+    later: a run that has ended then goes on."""
     warmup_epochs: float = 10.0
     """Epochs over which the learning rate rises."""
     warmup_steps: int | None = None
@@ -224,6 +227,7 @@ class TrainingConfig:
         _require("seed", self.seed, 0)
         _require("batch", self.batch, 1)
         _require("steps", 1 if self.steps is None else self.steps, 1)
+        _require("cycles", self.cycles, 1)
         _require("warmup_steps", self.warmup_steps or 0, 0)
         for name in ("epochs", "learning_rate"):
             value = getattr(self, name)
@@ -319,6 +323,10 @@ class RunConfig:
 
     def total_steps(self, steps_per_epoch: int) -> int:
         """Return the length of the run, in steps."""
+        return self.training.cycles * self.cycle_steps(steps_per_epoch)
+
+    def cycle_steps(self, steps_per_epoch: int) -> int:
+        """Return the length of a cycle of the learning rate, in steps."""
         if self.training.steps is not None:
             return self.training.steps
         return max(1, round(self.training.epochs * steps_per_epoch))
@@ -385,5 +393,5 @@ def changed_keys(old: RunConfig, new: RunConfig) -> list[str]:
     return sorted(changed)
 
 
-_HARMLESS = {("data", "cache"), ("data", "workers")}
-"""Settings that change nothing of what is learnt."""
+_HARMLESS = {("data", "cache"), ("data", "workers"), ("training", "cycles")}
+"""Settings that change nothing of what has been learnt so far."""

@@ -37,7 +37,7 @@ class Learner:
         model: InterGen,
         texts: TextTable,
         *,
-        total: int,
+        cycle: int,
         warmup: float,
         processes: Processes,
     ) -> None:
@@ -47,12 +47,12 @@ class Learner:
             run: Settings.
             model: What learns, on its device, with statistics.
             texts: Condition vectors.
-            total: Steps of the whole run.
-            warmup: Steps over which the learning rate rises.
+            cycle: Steps over which the learning rate falls, and then once more.
+            warmup: Steps over which it rises, in the first cycle alone.
             processes: Who else learns.
         """
         self.run, self.model, self.texts = run, model, texts
-        self._total, self._warmup, self._processes = total, warmup, processes
+        self._cycle, self._warmup, self._processes = cycle, warmup, processes
         self._names = {name: p for name, p in model.denoiser.named_parameters() if p.requires_grad}
         training = run.training
         self.optimiser = torch.optim.AdamW(
@@ -102,7 +102,8 @@ class Learner:
     def learning_rate(self, number: int) -> float:
         """Return the learning rate of a step."""
         rate = self.run.training.learning_rate
-        return rate * warmup_cosine(number, self._warmup, self._total)
+        warmup = self._warmup if number < self._cycle else 0
+        return rate * warmup_cosine(number % self._cycle, warmup, self._cycle)
 
     def _losses(self, batch: Batch, draws: Draws, device: torch.device) -> Losses:
         training, model = self.run.training, self.model

@@ -244,7 +244,7 @@ def _learner(run: RunConfig, prepared: Prepared, processes: Processes) -> Learne
         run,
         prepared.model,
         prepared.texts,
-        total=run.total_steps(per_epoch),
+        cycle=run.cycle_steps(per_epoch),
         warmup=run.warmup_steps(per_epoch),
         processes=processes,
     )

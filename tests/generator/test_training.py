@@ -81,6 +81,18 @@ def test_a_resumed_run_ends_with_the_same_bits(folder: Path, tmp_path: Path) -> 
         assert torch.equal(value, parts[name]), name
 
 
+def test_a_run_that_has_ended_goes_on_when_it_is_given_more_cycles(
+    folder: Path, tmp_path: Path
+) -> None:
+    twice = small(folder, training={"cycles": 2})
+    assert train(twice, tmp_path / "whole").steps == 12
+    assert train(small(folder), tmp_path / "parts").finished
+    outcome = train(twice, tmp_path / "parts", resume=True)
+    assert (outcome.resumed_from, outcome.steps, outcome.finished) == (6, 12, True)
+    whole, parts = state_of(tmp_path / "whole"), state_of(tmp_path / "parts")
+    assert all(torch.equal(value, parts[name]) for name, value in whole.items())
+
+
 def test_the_log_goes_on_where_the_state_is(folder: Path, tmp_path: Path) -> None:
     run = small(folder, training={"steps": 8}, checkpoint={"steps": 2})
     train(run, tmp_path, watch=stop_after(4))
@@ -127,7 +139,7 @@ def learner_of(run: RunConfig, out: Path, processes: Processes | None = None) ->
         run,
         prepared.model,
         prepared.texts,
-        total=run.training.steps,
+        cycle=run.training.steps,
         warmup=run.warmup_steps(1),
         processes=processes or Processes(),
     )
@@ -263,6 +275,17 @@ def test_the_learning_rate_warms_up_and_falls(folder: Path, tmp_path: Path) -> N
     assert rates[0] == pytest.approx(1e-4, rel=0.01)
     assert int(np.argmax(rates)) == 9
     assert rates[-1] < 1e-6
+
+
+def test_every_cycle_begins_at_the_highest_rate_and_only_the_first_warms_up(
+    folder: Path, tmp_path: Path
+) -> None:
+    training = {"steps": 50, "cycles": 2, "warmup_steps": 10}
+    learner = learner_of(small(folder, training=training), tmp_path)
+    rates = [learner.learning_rate(step) for step in range(100)]
+    assert rates[49] < 1e-5
+    assert rates[50] == 1e-3
+    assert rates[60:] == rates[10:50]
 
 
 def test_bfloat16_learns_what_float32_learns(folder: Path, tmp_path: Path) -> None:

@@ -129,6 +129,8 @@ def test_length_and_warm_up_are_given_in_epochs_or_in_steps() -> None:
     assert (run.total_steps(3), run.warmup_steps(3)) == (6000, 30)
     run = replace(run, training=TrainingConfig(steps=7, warmup_steps=0))
     assert (run.total_steps(3), run.warmup_steps(3)) == (7, 0)
+    run = replace(run, training=TrainingConfig(steps=7, cycles=3))
+    assert (run.total_steps(3), run.cycle_steps(3)) == (21, 7)
 
 
 def _as_shipped(name: str) -> RunConfig:
