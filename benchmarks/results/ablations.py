@@ -31,6 +31,8 @@ class Variant:
     """Configuration of the paper's size that changes the same; the base changes nothing."""
     config: str = ""
     """Configuration at this scale that is trained instead of the base."""
+    cycles: int | None = None
+    """Of the learning rate, instead of as many as the configuration has."""
     real: float = 0.0
     """Share of real clips among the samples."""
 
@@ -67,6 +69,8 @@ class Ablations:
         """
         tables = load_config(variant.config or self.base).tables()
         tables["name"] = variant.name if variant.config else f"{tables['name']}-{variant.name}"
+        if variant.cycles is not None:
+            tables["training"]["cycles"] = variant.cycles
         if variant.changes:
             changes = _changes(load_config(self.paper), load_config(variant.changes))
             if not any(changes.values()):

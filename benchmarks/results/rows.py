@@ -51,6 +51,8 @@ class Row:
     """At most so many."""
     spread: bool = False
     """Whether MModality is measured."""
+    performed: bool = False
+    """Whether two simulated people perform the first chunk of ``test``."""
 
     def __post_init__(self) -> None:
         """Validate."""

@@ -11,7 +11,8 @@ from typing import Any
 from benchmarks.results.chunks import Chunk, key_of
 from benchmarks.results.clips import SEED, Asked, HeldOut
 from benchmarks.results.judges import Judges
-from benchmarks.results.measure import Standard, Taken, measured_row, spread_of
+from benchmarks.results.measure import Standard, Taken, mean_of, measured_row, spread_of
+from benchmarks.results.performed import NAMES, made_with
 from benchmarks.results.rows import Plan, Row, SplitSize
 from benchmarks.results.takes import Makers, Order
 from benchmarks.tracking.results import Key, Record, Results
@@ -130,6 +131,8 @@ class Bench:
     def _key(self, row: Row, size: SplitSize, repetition: int) -> Key:
         chunks, part = self._amount(size.chunks)
         protocol = asdict(self.plan.protocol) | {"chunks": chunks, "part": part}
+        if row.performed:
+            protocol["performed"] = made_with()
         digest = key_of("record/1", self.judges.hash, self.makers.identity(row), protocol)
         return (row.name, size.name, str(repetition), digest)
 
@@ -176,6 +179,9 @@ class Bench:
                 self.clock.check()
                 made.append(self.makers.take(row, order))
             record["figures"]["multimodality"] = spread_of(made, self.judges, seed)
+        if row.performed and size.name == "test" and repetition == 0:
+            chunk = self.makers.performed(row, next(iter(self._orders(size, repetition))))
+            record["figures"] |= {n: mean_of([f[n] for f in chunk.figures]) for n in NAMES}
         record["leaders"] = len(standard.led)
         if row.drawn:
             loaded = self.makers.models.load(row)

@@ -69,6 +69,14 @@ BODIES = (
     Column("in each other, mm", "overlap", 1, 1000),
     Column("frames > 2 cm in each other, %", "overlapping", 1, 100),
 )
+PERFORMED = (
+    Column("passes the gate, %", "passed", 0, 100),
+    Column("nobody falls, %", "upright", 0, 100),
+    Column("off what was drawn, mm", "off", 0),
+    Column("in each other, p95, mm", "performed_overlap", 1),
+    Column("below floor, p95, mm", "performed_floor", 1),
+    Column("soles slide, cm/s", "performed_slide", 1, 100),
+)
 COST = (Column("drawing", SAMPLING, 2), Column("finishing", FINISHING, 2))
 SPLITS = {
     "test": "Other performances of the same kind",
@@ -129,6 +137,8 @@ def pages(
     for name in ("table3", "table4", "data"):
         parts[name] = _table(rows[name], "test", (*PAPER, *ASKED), records)
     parts["data-bodies"] = _table(rows["data"], "test", BODIES, records)
+    simulated = [row for row in plan.row if row.performed]
+    parts["performed"] = _table(simulated, "test", PERFORMED, records)
     shown = dict.fromkeys((*rows["main"], *rows["data"]))
     parts["spectra"] = spectra_table([*shown], records, real or {})
     parts["hardest"] = hardest(rows["main"], records)

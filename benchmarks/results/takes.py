@@ -20,6 +20,7 @@ from benchmarks.results.chunks import Chunk, Features, keep_chunk, kept_chunk, k
 from benchmarks.results.clips import Asked, features_of
 from benchmarks.results.figures import measured
 from benchmarks.results.models import Models
+from benchmarks.results.performed import made_with, performed
 from benchmarks.results.rows import Protocol, Row
 from generator import choreographer, finishing
 from generator.features import decode
@@ -92,16 +93,39 @@ class Makers:
             keep_chunk(path, key, chunk)
         return chunk
 
+    def performed(self, row: Row, order: Order) -> Chunk:
+        """Return an order's motions with figures of how two simulated people performed them.
+
+        They perform what a user would have, finished motions, whether the row finishes them or not.
+
+        Raises:
+            DuetError: The motions cannot be made, or not be written.
+        """
+        finished = self.identity(replace(row, finish=True))
+        identity = key_of("performed/1", finished, made_with())
+        path = self.root / identity / f"{order.name}.npz"
+        key = key_of(identity, list(order.texts), [list(s) for s in order.seeds])
+        chunk = kept_chunk(path, key)
+        if chunk is None:
+            raw = self.take(replace(row, finish=False), order)
+            figures = [performed(motion) for motion in self._all_finished(raw, order)]
+            chunk = replace(raw, figures=figures)
+            keep_chunk(path, key, chunk)
+        return chunk
+
     def _finished(self, row: Row, order: Order) -> Chunk:
         raw = self.take(replace(row, finish=False), order)
         began = time.process_time()
-        done = [
-            finishing.finish(self._decoded(x), settings=finishing.DRAWN, expected=meetings_of(text))
-            for x, text in zip(raw.features, order.texts, strict=True)
-        ]
+        done = self._all_finished(raw, order)
         spent = time.process_time() - began
         notes = {**raw.notes, FINISHING: spent}
         return self._chunk(done, order, notes, [self._features(m, (0,)) for m in done])
+
+    def _all_finished(self, raw: Chunk, order: Order) -> list[DuetMotion]:
+        return [
+            finishing.finish(self._decoded(x), settings=finishing.DRAWN, expected=meetings_of(text))
+            for x, text in zip(raw.features, order.texts, strict=True)
+        ]
 
     def _drawn(self, row: Row, order: Order) -> Chunk:
         if row.drawn:

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.results import classifier
+from benchmarks.results import classifier, takes
 from benchmarks.results import judges as judging
 from benchmarks.results.chunks import Chunk, keep_chunk, kept_chunk
 from benchmarks.results.classifier import (
@@ -29,6 +29,7 @@ from benchmarks.results.classifier import (
 )
 from benchmarks.results.clips import HeldOut
 from benchmarks.results.models import Models
+from benchmarks.results.performed import NAMES
 from benchmarks.results.rows import EvaluatorSettings, Plan, Protocol, Row, SplitSize
 from benchmarks.results.run import Bench, Clock, OutOfTime, open_results
 from benchmarks.results.table import latest
@@ -140,6 +141,19 @@ def test_nothing_is_measured_twice_and_more_repetitions_go_on(out: Path):
     assert again.run((DATA, LOW)) == 0
     assert bench(out, plan_of(DATA, LOW, repetitions=2)).run((DATA,)) == 3
     assert len(open_results(out).read()) == 9
+
+
+def test_simulated_people_perform_the_first_chunk_of_the_first_repetition(
+    out: Path, monkeypatch: pytest.MonkeyPatch
+):
+    figures = dict.fromkeys(NAMES, 1.0)
+    monkeypatch.setattr(takes, "performed", lambda motion: figures)
+    row = replace(LOW, performed=True)
+    assert bench(out, plan_of(LOW)).run((LOW,)) == 6
+    assert bench(out, plan_of(row)).run((row,)) == 6, "no result of a row without performances"
+    records = latest(open_results(out).read().values())
+    have = [(r["split"], r["repetition"]) for r in records if "passed" in r["figures"]]
+    assert have == [("test", 0)]
 
 
 def test_results_are_found_where_they_are_kept(out: Path, tmp_path: Path):
