@@ -63,8 +63,10 @@ def test_an_ablation_changes_what_it_says_and_nothing_else():
         "none": {"objective.regularisation": 0.0},
         "t03": {"objective.damping": 0.3},
         "t10": {"objective.damping": 1.0},
+        "once": {"training.cycles": 1},
     } | {
-        name: {"data.source": changed[name]["data.source"]} for name in ("real", "raw", "repaired")
+        name: {"data.source": changed[name]["data.source"], "training.cycles": 1}
+        for name in ("real", "raw", "repaired")
     }
 
 
@@ -108,7 +110,7 @@ class Small:
             run.data, cache=self.cache, source=(replace(run.data.source[0], count=2),), frames=20
         )
         model = replace(run.model, width=16, layers=1, heads=2, feedforward=16)
-        training = replace(run.training, batch=2, steps=self.steps, warmup_steps=1)
+        training = replace(run.training, batch=2, steps=self.steps, cycles=1, warmup_steps=1)
         text = replace(run.text, lessons=2)
         return replace(run, data=data, model=model, text=text, training=training)
 

@@ -35,7 +35,7 @@ def shrunk(name: str, folder: Path, steps: int) -> RunConfig:
         "fps": 30.0,
         "source": [{"kind": "duets", "root": str(folder / "duets")}],
     }
-    training = {"batch": 2, "steps": steps, "warmup_steps": 1, "initial": ""}
+    training = {"batch": 2, "steps": steps, "cycles": 1, "warmup_steps": 1, "initial": ""}
     tables["training"] |= training
     del tables["training"]["warmup_epochs"]
     tables["log"] = {"tensorboard": False}
